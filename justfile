@@ -283,14 +283,15 @@ test-gcode: build
     just run raster fixture=coupon out=out/gcode export=gcode
     @if command -v rs274 > /dev/null; then python3 crates/export/tests/interpreter.py out/gcode; else echo "skipped: no rs274"; fi
 
-# Programs of Zaber, SINUMERIK and TwinCAT, read by software of others, which pip installs once
+# Programs of Zaber and TwinCAT, read by software of others, which pip installs once
 [group('4 slower tests')]
 test-controllers: build
     just run raster fixture=coupon out=out/controllers
     @test -d target/controllers || python3 -m venv target/controllers
-    @target/controllers/bin/python -m pip install --quiet zaber-motion==10.3.0 nc-gcode-interpreter==0.1.9 blark==0.8.3
+    @target/controllers/bin/python -m pip install --quiet zaber-motion==10.3.0 blark==0.8.3
     @target/controllers/bin/python crates/export/tests/vendors.py out/controllers/methods/pvt/trajectory \
         fixtures/machines/ion-beam.json
+
 # just test-planners linuxcnc --rows "coupon raster"; just test-planners readers. Installs Debian's linuxcnc-uspace (root)
 #
 # Programs of the fixtures in LinuxCNC's own trajectory planner, and read by interpreters that we did not write

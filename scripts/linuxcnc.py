@@ -170,35 +170,37 @@ def run(program, machine, log, longest_s, speed=FASTER):
     axes = json.loads(pathlib.Path(machine).read_text())["axes"]
     with tempfile.TemporaryDirectory(dir=pathlib.Path(log).resolve().parent) as folder:
         home = pathlib.Path(folder)
-        # The real-time part runs as another user than root.
-        home.chmod(0o777)
         copy = home / "program.ngc"
         copy.write_bytes(pathlib.Path(program).read_bytes())
-        for name in ("tool.tbl", "empty.var"):
-            (home / name).touch()
-        write_machine(home, axes)
-        # Under a name of its own: another LinuxCNC on this computer that ends kills every process called milltask.
-        shutil.copy(shutil.which("milltask"), home / "planner-task")
-        driver = home / "driver.py"
-        driver.write_text(DRIVER.format(home=home, program=copy, longest_s=longest_s))
-        driver.chmod(0o755)
-        environment = {**os.environ, "HOME": folder, "RTAPI_FIFO_PATH": "/tmp/fifo", "RTAPI_UID": "65534"}
-        environment["PATH"] = f"{folder}:{environment['PATH']}"
-        faster = faster_clock(home)
-        if faster:
-            environment |= {"LD_PRELOAD": str(faster), "FASTER": str(speed)}
-        # Shared memory, lock, fifo and processes of its own: a simulator that ends kills all that it sees.
-        alone = ["unshare", "--ipc", "--mount", "--net", "--pid", "--fork", "--kill-child",
-                 "--mount-proc", "sh", "-c"]
-        inside = f"mount -t tmpfs tmpfs /tmp && ip link set lo up; exec linuxcnc {home}/sim.ini"
-        done = subprocess.run(
-            [*alone, inside], env=environment, capture_output=True, text=True, timeout=longest_s + 60
-        )
+        done = simulate(home, axes, DRIVER.format(home=home, program=copy, longest_s=longest_s), longest_s, speed)
         if done.returncode != 0 or not (home / "samples").exists():
             sys.exit(f"linuxcnc {program}\n{done.stdout}{done.stderr}")
         write_log((home / "samples").read_text(), axes, log)
         errors = home / "errors"
         return errors.read_text() if errors.exists() else ""
+
+
+def simulate(home, axes, driver, longest_s, speed):
+    """Runs the simulator with these axes of a machine file in the empty folder `home`. `driver` is the program of its
+    user, and the clock runs `speed` times as fast where a C compiler is here. Returns the process that has ended."""
+    # The real-time part runs as another user than root.
+    home.chmod(0o777)
+    for name in ("tool.tbl", "empty.var"):
+        (home / name).touch()
+    write_machine(home, axes)
+    # Under a name of its own: another LinuxCNC on this computer that ends kills every process called milltask.
+    shutil.copy(shutil.which("milltask"), home / "planner-task")
+    (home / "driver.py").write_text(driver)
+    (home / "driver.py").chmod(0o755)
+    environment = {**os.environ, "HOME": str(home), "RTAPI_FIFO_PATH": "/tmp/fifo", "RTAPI_UID": "65534"}
+    environment["PATH"] = f"{home}:{environment['PATH']}"
+    faster = faster_clock(home) if speed != 1 else None
+    if faster:
+        environment |= {"LD_PRELOAD": str(faster), "FASTER": str(speed)}
+    # Shared memory, lock, fifo and processes of its own: a simulator that ends kills all that it sees.
+    alone = ["unshare", "--ipc", "--mount", "--net", "--pid", "--fork", "--kill-child", "--mount-proc", "sh", "-c"]
+    inside = f"mount -t tmpfs tmpfs /tmp && ip link set lo up; exec linuxcnc {home}/sim.ini"
+    return subprocess.run([*alone, inside], env=environment, capture_output=True, text=True, timeout=longest_s + 60)
 
 
 def faster_clock(home):

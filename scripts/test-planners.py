@@ -35,13 +35,14 @@ ROWS = {
     "disk-20 spiral": ("disk-20", table.SPIRAL, [], ["pvt", "joint"]),
     "reference raster": (None, table.RASTER, [], ["pvt", "joint"]),
 }
-# Programs of a plan: as planish-export writes it, with short lines, and without our path mode. Flags, and the path mode
-# in the place of that of the program.
+# Programs of a plan: as planish-export writes it, with the feeds for the planner, and without our path mode. Flags, and
+# the path mode in the place of that of the program.
 MODES = {
     "as written": ([], None),
-    "lines of 2 ms": (["--max-step-s=0.002"], None),
+    "--linuxcnc-feeds": (["--linuxcnc-feeds"], None),
     "G64 alone": ([], "G64"),
 }
+
 
 def trajectory(to, plan):
     return to / {"pvt": "pvt", "joint": "joint/trajectory"}[plan]
@@ -62,7 +63,7 @@ def export(to, plan, controller, flags=(), ending=""):
 def export_mode(to, plan, mode):
     """The G-code of a plan in one of MODES, and the JSON file that says what it is; None if it is refused."""
     flags, path_mode = MODES[mode]
-    program = export(to, plan, "gcode", flags, "-short" if flags else "")
+    program = export(to, plan, "gcode", flags, "-feeds" if flags else "")
     if program is None or path_mode is None:
         return program
     other = to / f"{plan}-{path_mode}.gcode"
@@ -175,21 +176,20 @@ def run_linuxcnc(names, plans, modes):
             print(f"{name}, {plan}, {mode}: LinuxCNC reports {said}", file=sys.stderr)
 
 
-def words(text):
-    """Positions in the words of the program itself, in the order of its segments."""
-    number = r"(-?[0-9.]+)"
-    pairs = re.findall(rf"^(?:G1 )?X{number}(?::\S+)? Y{number}", text, flags=re.M)
-    return [tuple(map(float, pair)) for pair in pairs]
+def words(text, pattern):
+    """Numbers in the words of the program itself, in the order of its segments. `pattern` has a group for each of them."""
+    return [tuple(map(float, numbers)) for numbers in re.findall(pattern, text, flags=re.M)]
 
 
 def read_sinumerik(text):
-    """Ends of the lines of a SINUMERIK program by nc-gcode-interpreter, and the floats of 32 bits in which it has them."""
+    """Ends and F of the lines of a SINUMERIK program by nc-gcode-interpreter, and the floats of 32 bits in which it has
+    them."""
     from nc_gcode_interpreter import nc_to_dataframe
     import numpy
 
     frame, _ = nc_to_dataframe(text, iteration_limit=10**8, disable_forward_fill=True)
     moves = frame.filter(frame["X"].is_not_null() & frame["Y"].is_not_null())
-    return moves.select(["X", "Y"]).to_numpy(), numpy.float32
+    return moves.select(["X", "Y", "F"]).to_numpy(), numpy.float32
 
 
 def read_pmac(text):
@@ -227,7 +227,11 @@ def points_of_pmac(tokens):
     return points
 
 
-READERS = {"pmac": read_pmac, "sinumerik": read_sinumerik}
+# Reader of each controller, and the pattern of its lines.
+READERS = {
+    "pmac": (read_pmac, r"^X(-?[0-9.]+)(?::\S+)? Y(-?[0-9.]+)"),
+    "sinumerik": (read_sinumerik, r"^G1 X(\S+) Y(\S+) F(\S+)"),
+}
 
 
 def run_readers(names, plans):
@@ -235,14 +239,14 @@ def run_readers(names, plans):
     import numpy
 
     known = table.run("planish-export", "--help").stdout
-    table.show(["plan", "controller", "positions", "largest difference, mm"])
+    table.show(["plan", "controller", "segments", "largest difference of a number"])
     table.show(["---"] * 4)
     for name in names:
         to = prepared(name)
         if to is None:
             continue
         for plan in plans:
-            for controller, read in READERS.items():
+            for controller, (read, pattern) in READERS.items():
                 if f"  {controller} " not in known:
                     continue
                 program = export(to, plan, controller)
@@ -250,7 +254,7 @@ def run_readers(names, plans):
                     continue
                 text = program.read_text()
                 points, kind = read(text)
-                written = numpy.array(words(text))
+                written = numpy.array(words(text, pattern))
                 # A program that goes to its start has this position before its segments.
                 points = points[len(points) - len(written):]
                 apart = numpy.abs(numpy.asarray(points, kind) - written.astype(kind)).max()

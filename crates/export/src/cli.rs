@@ -126,6 +126,10 @@ struct GcodeArgs {
     /// exceeds the limits
     #[arg(long)]
     rotary_lines: bool,
+    /// Choose the feeds so that the planner of LinuxCNC takes the times of the plan. For LinuxCNC alone, with the
+    /// acceleration limits of the machine file in its configuration
+    #[arg(long, conflicts_with = "rotary_lines")]
+    linuxcnc_feeds: bool,
 }
 
 /// Adds the flag `--tick-s` of the clock to a subcommand, with the default of this controller in its help.
@@ -210,9 +214,14 @@ impl FromArgMatches for Export {
                 .map(|(file, name)| Companion::XpsCommands(file, XpsGroup { name, positioners }));
         }
         if controller == ControllerKind::Gcode {
-            let GcodeArgs { f_word, path_tolerance_mm, rotary_lines } =
+            let GcodeArgs { f_word, path_tolerance_mm, rotary_lines, linuxcnc_feeds } =
                 GcodeArgs::from_arg_matches(own)?;
-            export.gcode = gcode::GcodeSettings { feed: f_word, path_tolerance_mm, rotary_lines };
+            export.gcode = gcode::GcodeSettings {
+                feed: f_word,
+                path_tolerance_mm,
+                rotary_lines,
+                linuxcnc_feeds,
+            };
         }
         Ok(export)
     }

@@ -20,7 +20,9 @@
 //! out. Between two lines the motion is straight and its speed is constant; a smaller `max_step_s` follows a schedule
 //! that is neither.
 //!
-//! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer.
+//! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer. The head says how much
+//! longer LinuxCNC presumably takes ([`planner`]). With `linuxcnc_feeds` the feeds are those with which it takes the time
+//! of the plan, and a comment in every line states that time, because F is none then.
 //!
 //! No offset moves the path. If the positions are readings of the axes, every line has `G53`; else `G54` alone counts,
 //! which the operator sets for the part, and `G92.2` leaves out what G92 has left. `M49` locks the overrides of feed and
@@ -44,7 +46,9 @@
 
 use planish_types::Invalid;
 
-use crate::{Abilities, About, Approach, Job, Tool, decimal, generate::Nodes, header::Comment};
+use crate::{
+    Abilities, About, Approach, Job, Tool, decimal, generate::Nodes, header::Comment, planner,
+};
 
 /// Number of decimals of a position in mm and of a time in s. Larger: longer lines. Smaller: rounding that a
 /// controller may notice. Chosen: counts below 1e-9 mm and clocks below 1e-9 s are refused.
@@ -82,11 +86,14 @@ pub struct GcodeSettings {
     pub path_tolerance_mm: Option<f64>,
     /// True if lines may move rotary axes; otherwise a motion of rotary axes is refused.
     pub rotary_lines: bool,
+    /// True for feeds with which the planner of LinuxCNC takes the times of the plan, on a machine whose configuration
+    /// has the acceleration limits of the machine file.
+    pub linuxcnc_feeds: bool,
 }
 
 impl Default for GcodeSettings {
     fn default() -> Self {
-        Self { feed: Feed::InverseTime, path_tolerance_mm: None, rotary_lines: false }
+        Self { feed: Feed::InverseTime, path_tolerance_mm: None, rotary_lines: false, linuxcnc_feeds: false }
     }
 }
 
@@ -104,6 +111,10 @@ pub(crate) fn tolerance_mm(all: &crate::ProgramSettings, turns: bool) -> Result<
     if turns && settings.feed == Feed::PerMinute {
         let problem = "is per-minute, and a feed of axes in mm and degrees means nothing";
         return Err(Invalid::whole("f_word", problem, "give inverse-time"));
+    }
+    if turns && settings.linuxcnc_feeds {
+        let problem = "are known for linear axes only, and the motion turns an axis";
+        return Err(Invalid::whole("linuxcnc_feeds", problem, "leave `linuxcnc_feeds` out"));
     }
     Ok(tolerance)
 }
@@ -155,7 +166,8 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
         Feed::InverseTime => ("G93", "lines per minute"),
         Feed::PerMinute => ("G94", "mm per minute"),
     };
-    about.preamble.extend(of_planner(job, &q, about.segments, tick_s));
+    let feeds = if job.turns() { None } else { Some(feeds(job, &q, tolerance)?) };
+    about.preamble.extend(feeds.iter().flat_map(|feeds| of_planner(job, &q, feeds)));
     let lengths = if job.turns() { "mm and deg" } else { "mm" };
     let mut text = about.header(&COMMENT, &format!("{lengths}, F in {unit}, G4 P in s"));
     let output = |words: &'static str| if switched { words } else { "" };
@@ -183,22 +195,26 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
                 (false, true) => "M65 P0\n",
             });
         }
-        let from = q.position(k);
-        let to = q.position(k + 1);
-        let seconds = q.duration(k) as f64 * tick_s;
-        // As the interpreter will read them.
-        let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));
         if stands {
             text += &format!("G4 P{}\n", decimal(q.wait_s(k), DIGITS));
             continue;
         }
+        let from = q.position(k);
+        let to = q.position(k + 1);
+        // As the interpreter will read them.
+        let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));
+        let plan_s = q.duration(k) as f64 * tick_s;
+        let made_up = feeds.as_ref().filter(|_| settings.linuxcnc_feeds);
+        let seconds = made_up.map_or(plan_s, |feeds| length / feeds.mm_per_s[k]);
         let feed = match settings.feed {
             // F = 60 / dt
             Feed::InverseTime => 60.0 / seconds,
             // F = 60 length / dt
             Feed::PerMinute => 60.0 * length / seconds,
         };
-        text += &format!("{frame}G1 {} F{}\n", job.words(to, DIGITS), significant(feed));
+        let comment = made_up.map(|_| format!(" ({} s)", decimal(plan_s, DIGITS)));
+        let words = job.words(to, DIGITS);
+        text += &format!("{frame}G1 {words} F{}{}\n", significant(feed), comment.unwrap_or_default());
     }
     text += output("M65 P0\n");
     text += &job.epilogue();
@@ -206,48 +222,76 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
     Ok((text, about))
 }
 
-/// Used fraction of an acceleration limit above which the planner of LinuxCNC takes more time than the program states.
-/// Derived: in the blend of two lines it uses half of the acceleration along the path.
-const PLANNER_USE: f64 = 0.5;
+/// Feeds of the lines, and what the planner of LinuxCNC presumably makes of them.
+struct Feeds {
+    /// Feed of every segment, mm/s; 0 for one that stands (n).
+    mm_per_s: Vec<f64>,
+    /// Time that the planner adds to the lines, s.
+    added_s: f64,
+    /// Index of the segment near which it adds most, and this time, s.
+    most: (usize, f64),
+}
 
-/// Part of the time of a program above [`PLANNER_USE`] from which the program says so. Larger: programs that a planner
-/// spoils are silent. Smaller: the sentence is in every program.
-const PLANNER_TIME: f64 = 0.01;
+/// Returns the feeds of the lines of a program whose axes are all linear.
+fn feeds<const N: usize>(job: &Job<N>, q: &Nodes<N>, tolerance_mm: f64) -> Result<Feeds, Invalid> {
+    let tick_s = job.tick()?;
+    let n = q.segments();
+    let mut feeds = Feeds { mm_per_s: vec![0.0; n], added_s: 0.0, most: (0, 0.0) };
+    let mut first = 0;
+    while first < n {
+        let last = (first..n).find(|k| q.stands(*k)).unwrap_or(n);
+        if first == last {
+            first += 1;
+            continue;
+        }
+        let nodes: Vec<[f64; N]> = (first..=last).map(|k| q.position(k)).collect();
+        let lines = planner::Lines::new(&nodes, job.plan.axes, tolerance_mm);
+        let mut time_s: Vec<f64> =
+            (first..last).map(|k| q.duration(k) as f64 * tick_s).collect();
+        let mut feed = lines.mean_speeds(&time_s);
+        // The motion begins half a line before the first node, and ends half a line after the last one.
+        time_s[0] *= 1.5;
+        time_s[last - first - 1] *= 1.5;
+        if job.settings.gcode.linuxcnc_feeds {
+            feed = lines.feeds(&time_s);
+        }
+        let taken = lines.times(&feed);
+        let late: Vec<f64> = taken.iter().zip(&time_s).map(|(t, wanted)| t - wanted).collect();
+        feeds.added_s += late.iter().sum::<f64>();
+        for (k, [from, to]) in lines.nearby().into_iter().enumerate() {
+            let near = late[from..to].iter().sum();
+            if near > feeds.most.1 {
+                feeds.most = (first + k, near);
+            }
+        }
+        feeds.mm_per_s[first..last].copy_from_slice(&feed);
+        first = last;
+    }
+    Ok(feeds)
+}
 
-/// Returns the sentence on what a planner makes of the program, if the lines need much acceleration.
-fn of_planner<const N: usize>(
-    job: &Job<N>,
-    q: &Nodes<N>,
-    segments: usize,
-    tick_s: f64,
-) -> Option<String> {
-    let mut before = [0.0; N];
-    let mut before_s = f64::INFINITY;
-    let [mut much_s, mut total_s] = [0.0; 2];
-    for k in 0..segments {
-        let seconds = q.duration(k) as f64 * tick_s;
-        let (from, to) = (q.position(k), q.position(k + 1));
-        let velocity: [f64; N] = std::array::from_fn(|a| (to[a] - from[a]) / seconds);
-        // a = (m_k - m_{k-1}) / min(T_{k-1}, T_k)
-        let is_much = job.plan.axes.iter().enumerate().any(|(a, axis)| {
-            let acceleration = (velocity[a] - before[a]) / seconds.min(before_s);
-            acceleration.abs() > PLANNER_USE * axis.max_acceleration
-        });
-        much_s += if is_much { seconds } else { 0.0 };
-        total_s += seconds;
-        (before, before_s) = (velocity, seconds);
+/// Returns the sentences on what the planner of LinuxCNC presumably makes of the program. `planish-import` knows the
+/// first one of a program whose F words are no times.
+fn of_planner<const N: usize>(job: &Job<N>, q: &Nodes<N>, feeds: &Feeds) -> [String; 2] {
+    let total_s = q.total_s();
+    let (near, near_s) = feeds.most;
+    let cost = format!(
+        "LinuxCNC presumably takes {:.3} s, {:+.2} %, most of it at {}: {:.0} ms in {:.0} mm of path",
+        total_s + feeds.added_s,
+        100.0 * feeds.added_s / total_s,
+        job.words(q.position(near), 1),
+        1e3 * near_s,
+        2.0 * planner::NEARBY_MM
+    );
+    if job.settings.gcode.linuxcnc_feeds {
+        let sentence = "planner: the feeds make up for the planner of LinuxCNC, with the acceleration limits of the machine \
+                        file. Comments have the times of the lines. Another controller runs them too fast";
+        [sentence.into(), format!("planner: {cost}")]
+    } else {
+        let remedy = "planner: it removes more there. --linuxcnc-feeds makes up for it where it can. Record the first run \
+                      with the tool off, and compare it by planish import trace and planish simulate";
+        [format!("planner: {cost}"), remedy.into()]
     }
-    let part = much_s / total_s;
-    if part < PLANNER_TIME {
-        return None;
-    }
-    Some(format!(
-        "planner: {:.0} % of the time uses more than half of an acceleration limit. There LinuxCNC takes longer than \
-         the lines state, and removes more. Lines of at most 0.002 s lower the difference, a plan for smaller limits \
-         avoids it. Record the first run with the tool off, and compare it by planish import trace and planish \
-         simulate",
-        100.0 * part
-    ))
 }
 
 /// Returns a positive feed with [`FEED_DIGITS`] significant digits.

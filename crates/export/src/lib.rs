@@ -49,6 +49,7 @@ mod marks;
 mod nodes;
 mod parts;
 mod plan;
+mod planner;
 pub mod pmac;
 mod preamble;
 mod ros;

@@ -10,8 +10,8 @@ the 5e-5 of the feed. A run of lines from rest to rest takes half of its first a
 Offsets that an operator left by G54 and G92 must not move a program for a machine whose file places the part.
 
 The interpreter ignores outputs. So where LinuxCNC's simulator is installed (`linuxcnc`), a short program of
-planish-export with every kind of switch runs in it, in real time and twice, after a run that has left the
-output on; digital output 0 and the position are sampled every millisecond.
+planish-export with every kind of switch runs in it (scripts/linuxcnc.py, root), in real time and twice, after a run
+that has left the output on; digital output 0 and the position are sampled every millisecond.
 """
 
 import json
@@ -23,6 +23,10 @@ import struct
 import subprocess
 import sys
 import tempfile
+
+ROOT = pathlib.Path(__file__).resolve().parents[3]
+sys.path.insert(0, str(ROOT / "scripts"))
+import linuxcnc  # noqa: E402
 
 
 def interpret(program):
@@ -75,54 +79,6 @@ SEGMENTS = [
 SECONDS = 0.4
 START = 1.0
 
-INI = """[EMC]
-VERSION = 1.1
-MACHINE = bench
-[DISPLAY]
-DISPLAY = {home}/driver.py
-[TASK]
-TASK = milltask
-CYCLE_TIME = 0.001
-[RS274NGC]
-PARAMETER_FILE = {home}/empty.var
-[EMCMOT]
-EMCMOT = motmod
-SERVO_PERIOD = 1000000
-[HAL]
-HALFILE = {home}/sim.hal
-[TRAJ]
-COORDINATES = X Y
-LINEAR_UNITS = mm
-ANGULAR_UNITS = degree
-MAX_LINEAR_VELOCITY = 100
-NO_FORCE_HOMING = 1
-[EMCIO]
-EMCIO = io
-TOOL_TABLE = {home}/tool.tbl
-[KINS]
-KINEMATICS = trivkins coordinates=XY
-JOINTS = 2
-"""
-AXIS = """[{name}]
-TYPE = LINEAR
-MAX_VELOCITY = 100
-MAX_ACCELERATION = 1000
-MIN_LIMIT = -1000
-MAX_LIMIT = 1000
-FERROR = 100
-MIN_FERROR = 100
-"""
-HAL = """loadrt trivkins coordinates=XY
-loadrt motmod servo_period_nsec=1000000 num_joints=2
-loadrt sampler depth=4000 cfg=bff
-addf motion-command-handler servo-thread
-addf motion-controller servo-thread
-addf sampler.0 servo-thread
-net tool motion.digital-out-00 => sampler.0.pin.0
-net x joint.0.motor-pos-cmd => joint.0.motor-pos-fb sampler.0.pin.1
-net y joint.1.motor-pos-cmd => joint.1.motor-pos-fb sampler.0.pin.2
-net estop iocontrol.0.user-enable-out => iocontrol.0.emc-enable-in
-"""
 DRIVER = """#!/usr/bin/python3
 import linuxcnc, subprocess, time
 command, status, errors = linuxcnc.command(), linuxcnc.stat(), linuxcnc.error_channel()
@@ -177,7 +133,7 @@ def bench_program(home, more=None):
     axis = {"max_velocity_mm_per_s": 100, "max_acceleration_mm_per_s2": 1000}
     machine = {"name": "bench", "axes": [{"name": name, **axis} for name in "xy"], **(more or {})}
     (home / "machine.json").write_text(json.dumps(machine))
-    export = pathlib.Path(__file__).resolve().parents[3] / "target/release/planish-export"
+    export = ROOT / "target/release/planish-export"
     program = home / "program.ngc"
     command = [export, "gcode", "--trajectory", plan, "--machine", home / "machine.json", "--out", program]
     subprocess.run(command, check=True, capture_output=True)
@@ -214,28 +170,17 @@ def offsets():
 
 def sampled(home, run):
     rows = [line.split() for line in (home / f"sampled{run}").read_text().splitlines()]
-    return [(row[1] == "1", float(row[2])) for row in rows if len(row) == 4]
+    return [(row[1] == "1", float(row[2]) / linuxcnc.GAIN) for row in rows if len(row) == 4]
 
 
 def simulate():
-    with tempfile.TemporaryDirectory() as folder:
+    # /tmp is another one in the namespaces of the simulator.
+    with tempfile.TemporaryDirectory(dir=ROOT / "target") as folder:
         home = pathlib.Path(folder)
-        # The real-time part runs as another user than root.
-        home.chmod(0o777)
         program = bench_program(home)
-        for name in ("tool.tbl", "empty.var"):
-            (home / name).touch()
         (home / "left_on.ngc").write_text("M64 P0\nG4 P0.1\nM2\n")
-        (home / "sim.hal").write_text(HAL)
-        axes = "".join(AXIS.format(name=n) for n in ("AXIS_X", "AXIS_Y", "JOINT_0", "JOINT_1"))
-        (home / "sim.ini").write_text(INI.format(home=home) + axes)
-        driver = home / "driver.py"
-        driver.write_text(DRIVER.format(home=home, program=program))
-        driver.chmod(0o755)
-        environment = {**os.environ, "HOME": folder, "RTAPI_FIFO_PATH": f"{folder}/fifo"}
-        if os.getuid() == 0:
-            environment["RTAPI_UID"] = "65534"
-        run = subprocess.run(["linuxcnc", home / "sim.ini"], env=environment, capture_output=True, text=True, timeout=120)
+        axes = json.loads((home / "machine.json").read_text())["axes"]
+        run = linuxcnc.simulate(home, axes, DRIVER.format(home=home, program=program), longest_s=120, speed=1)
         assert run.returncode == 0 and not (home / "error").exists(), run.stdout + run.stderr
         assert sampled(home, 0)[-1][0], "the run before leaves the output on"
         checked = 0

@@ -31,6 +31,9 @@
 //! * a line that a switch of the machine may leave out (/);
 //! * more than 252 characters (the interpreter ends at 253).
 //!
+//! If the head says that the feeds make up for the planner of LinuxCNC, F is no time: the comment of each line states its
+//! time.
+//!
 //! In a program without M62 to M65 the tool is always on. A program with them must switch the tool before
 //! it moves, and must end with the tool off.
 //!
@@ -95,6 +98,8 @@ struct Machine<'a> {
     /// Sum of the dwells with the tool off, s, that the program makes before it sets the start position. They count
     /// once it is set.
     wait_s: f64,
+    /// True if the feeds make up for the planner of LinuxCNC: the times of lines are in their comments then.
+    has_times_in_comments: bool,
     /// True if the positions are those of the axes (G53), false if they are work coordinates; `None` before the first.
     is_of_axes: Option<bool>,
 }
@@ -114,6 +119,7 @@ impl<'a> Machine<'a> {
             tolerance_mm: 0.0,
             parts: Vec::new(),
             wait_s: 0.0,
+            has_times_in_comments: false,
             is_of_axes: None,
         }
     }
@@ -122,6 +128,7 @@ impl<'a> Machine<'a> {
     /// what the module names.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
+        self.has_times_in_comments |= line.starts_with(FEEDS_OF_PLANNER);
         check_words(number, &words, &self.letters)?;
         let value = |letter: char| words.iter().find(|w| w.0 == letter).map(|w| w.1);
         let mut dwell = false;
@@ -196,19 +203,25 @@ impl<'a> Machine<'a> {
             }
             let axes = self.letters.iter().zip(&self.position);
             let target = axes.map(|(letter, here)| value(*letter).or(*here)).collect();
-            self.go(number, target, value('F'))?;
+            let stated = if self.has_times_in_comments && self.motion == 1 {
+                Some(stated_s(number, line)?)
+            } else {
+                None
+            };
+            self.go(number, target, value('F'), stated)?;
         }
         Ok(end)
     }
 
     /// Moves to the position `target` by G1, or sets the start position by G0; `None` is an axis whose position is not
-    /// yet known. `feed` is the number of the F word of the line. Refuses a move whose time is not known, or of no
+    /// yet known. `feed` is the number of the F word of the line, and `stated_s` its time if F is none. Refuses a move whose time is not known, or of no
     /// length.
     fn go(
         &mut self,
         number: usize,
         target: Vec<Option<f64>>,
         feed: Option<f64>,
+        stated_s: Option<f64>,
     ) -> Result<(), Invalid> {
         if self.motion == 0 {
             if !self.parts.is_empty() && target != self.position {
@@ -243,7 +256,8 @@ impl<'a> Machine<'a> {
             return Err(wrong(number, "has no length: the interpreter drops it and its time"));
         }
         // G93: 60 / F seconds; G94: length at F mm/min
-        let seconds = if self.inverse_time { 60.0 / feed } else { 60.0 * length / feed };
+        let by_feed = if self.inverse_time { 60.0 / feed } else { 60.0 * length / feed };
+        let seconds = stated_s.unwrap_or(by_feed);
         self.tool_on = self.queued.take().unwrap_or(self.tool_on);
         self.push(number, &here, &to, seconds)
     }
@@ -293,6 +307,21 @@ impl<'a> Machine<'a> {
         let states = here.iter().map(|p| [*p, 0.0]).collect();
         self.parts.push(Part { seconds, states, tool_on: self.tool_on, is_stop: true });
     }
+}
+
+/// Beginning of the comment of a program whose feeds are no times, but those with which the planner of LinuxCNC takes the
+/// times of the plan.
+const FEEDS_OF_PLANNER: &str = "(planner: the feeds make up for the planner of LinuxCNC";
+
+/// Returns the time that the comment of a line states, s. Refuses a line without it.
+fn stated_s(number: usize, line: &str) -> Result<f64, Invalid> {
+    let comment = line.split_once('(').and_then(|(_, comment)| comment.split_once(" s)"));
+    let seconds = comment.and_then(|(text, _)| text.parse().ok());
+    seconds.filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or_else(|| {
+        let remedy = "write it as (0.002 s) behind the words, or export the program again";
+        let problem = "has no comment with its time, and the head says that F is none";
+        Invalid::at_index("program line", number, problem, remedy)
+    })
 }
 
 /// Shortest dwell (G4) of whole seconds, s, that may be meant in milliseconds. Larger: short dwells in ms pass.
