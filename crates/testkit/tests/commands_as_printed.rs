@@ -25,7 +25,7 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// Commands that are not run here, with the reason.
-const EXCEPTIONS: [(&str, &str); 18] = [
+const EXCEPTIONS: [(&str, &str); 17] = [
     ("planish run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
     ("just programs-table --grids", "minutes"),
