@@ -25,7 +25,7 @@ use planish_testkit::workspace;
 use serde_json::Value;
 
 /// Commands that are not run here, with the reason.
-const EXCEPTIONS: [(&str, &str); 18] = [
+const EXCEPTIONS: [(&str, &str); 17] = [
     ("planish run bspline", "two minutes"),
     ("just programs-table", "half an hour"),
     ("just programs-table --grids", "minutes"),
@@ -405,7 +405,11 @@ impl Findings {
         for block in blocks(page) {
             match (block.mark.as_str(), &block.file, &block.printed) {
                 ("sh", ..) => ran.extend(self.run(clone, name, &block)),
-                (_, Some(file), _) => fs::write(clone.dir.join(file), &block.text).unwrap(),
+                (_, Some(file), _) => {
+                    let file = clone.dir.join(file);
+                    fs::create_dir_all(file.parent().unwrap()).unwrap();
+                    fs::write(file, &block.text).unwrap();
+                }
                 ("python", ..) if name == FIRST_MIRROR => {}
                 ("python", ..) => {
                     clone.succeed(name, &["python3", "-c"], &format!("{ARRAYS}{}", block.text));
@@ -451,22 +455,25 @@ impl Findings {
         all
     }
 
-    /// Compares the lines of a block with those of an output. Returns the lines of the output.
+    /// Compares the lines of a block with those of an output. Returns the lines of the block, those that differ as the
+    /// output has them.
     fn compare<'a>(
         &mut self,
         name: &str,
-        block: &Block,
+        block: &'a Block,
         printed: &Printed,
         output: &'a str,
     ) -> Option<Vec<&'a str>> {
         let Printed { by, varying } = printed;
-        let Some(lines) = shown_lines(block, output) else {
+        let Some(mut lines) = shown_lines(block, output) else {
             let text = &block.text;
             self.failures.push(format!("{name}: `{by}` prints nothing like\n{text}\n{output}"));
             return None;
         };
-        for (shown, line) in block.text.lines().zip(&lines) {
-            if !same_line(shown, line, *varying) {
+        for (shown, line) in block.text.lines().zip(&mut lines) {
+            if same_line(shown, line, *varying) {
+                *line = shown;
+            } else {
                 self.stale.push(format!("{name}, `{by}`:\n  {shown}\n  {line}"));
             }
         }
@@ -536,6 +543,9 @@ fn the_tutorial_of_the_first_mirror_runs_as_it_is_printed() {
 
 #[test]
 fn every_command_is_in_a_block_that_is_run_and_every_exception_is_needed() {
+    if !wanted_pages().is_empty() {
+        return;
+    }
     let pages = pages();
     let all: Vec<String> = pages
         .iter()
