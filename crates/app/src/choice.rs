@@ -743,8 +743,9 @@ mod tests {
         let varying = ToolSource::Varying(vec!["weight.npy".into()]);
         let varying = ToolChoice { source: varying, ..tool.clone() };
         assert!(varying.commands("").unwrap().is_empty());
-        let (command, out) = plan(&[]).command(&choice, &varying, &machine, &raster).unwrap();
-        assert_eq!([&command[4], &out], ["tif=files/varying", "runs/raster-own-varying"]);
+        let arrays = part(PartSource::Arrays);
+        let (command, out) = plan(&[]).command(&arrays, &varying, &machine, &raster).unwrap();
+        assert_eq!([&command[4], &out], ["tif=files/varying", "runs/raster-arrays-varying"]);
     }
 
     #[test]

@@ -1,6 +1,7 @@
 """Plans in the page of `planish app` in headless Chromium, as a person would, from a file to a program.
 
     browser.py PLANISH_BIN_DIR WORK_DIR [--shots DIR] [--file MAP ...]
+    browser.py PLANISH_BIN_DIR WORK_DIR --docs PICTURE     the picture of docs/app.md
 
 Every --file is a map of an instrument that is read, too, with what it does not state: --file "map.mat unit=m". Needs chromium (Debian package), numpy, h5py and websocket-client.
 Exit code 1 when a check fails.
@@ -384,6 +385,7 @@ def main():
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--shots", type=pathlib.Path)
     parser.add_argument("--file", action="append", default=[])
+    parser.add_argument("--docs", type=pathlib.Path)
     options = parser.parse_args()
     shutil.rmtree(options.work, ignore_errors=True)
     options.work.mkdir(parents=True)
@@ -392,6 +394,12 @@ def main():
     browser.size(1280, 900)
     try:
         visit(browser, app.address)
+        if options.docs:
+            check_demo(browser, None)
+            check_estimates(browser)
+            browser.js("document.getElementById('plan').scrollIntoView()")
+            browser.settle()
+            return browser.shot(options.docs)
         if options.shots:
             browser.shot(options.shots / "empty.png", whole=True)
         check_demo(browser, options.shots)
