@@ -630,13 +630,14 @@ method-pictures: build python
     target/python/bin/python docs/methods/draw.py $at docs/methods
     cp $at/pareto/pareto.svg $at/campaign/report/campaign.svg docs/methods
 
-# Write the pictures of docs/report.md, and the one that README.md opens with
+# Write the pictures of docs/report.md and docs/app.md, and the one that README.md opens with
 [group('5 pages and tables')]
 report-pictures: build browser
     just run raster
     target/release/planish-compare figures out/raster/flat-92x16 --format png --dpi 110 --out out/raster/figures --force
     cp out/raster/figures/overview.png docs/report/overview.png
     target/python/bin/python crates/compare/tests/browser.py --docs out/raster/flat-92x16/report docs/report
+    target/python/bin/python crates/app/tests/browser.py target/release out/app-picture --docs docs/app/plan.png
 
 [private]
 browser: python

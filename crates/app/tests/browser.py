@@ -1,6 +1,7 @@
 """Plans in the page of `planish app` in headless Chromium, as a person would, from a file to a program.
 
     browser.py PLANISH_BIN_DIR WORK_DIR [--shots DIR] [--file MAP ...]
+    browser.py PLANISH_BIN_DIR WORK_DIR --docs PICTURE     the picture of docs/app.md
 
 Every --file is a map of an instrument that is read, too, with what it does not state: --file "map.mat unit=m". Needs chromium (Debian package), numpy, h5py and websocket-client.
 Exit code 1 when a check fails.
@@ -283,7 +284,7 @@ def check_wrong_and_cancel(browser, work):
     (work / "notes.txt").write_text("this is no map\n")
     give(browser, "part-file", work / "notes.txt")
     wait(browser, "planish.state.session.part.end === 'refused'", 20)
-    shown = browser.js("document.querySelector('#part .done .doubt').textContent")
+    shown = browser.js("document.querySelector('#part .said .doubt').textContent")
     check("a wrong file is refused in words", "notes.txt" in shown, shown[:80])
     give(browser, "part-file", *(work / f"{n}.npy" for n in ("height_nm", "x_mm", "y_mm")))
     wait(browser, "planish.state.session.part.end === 'done'", 20)
@@ -331,6 +332,8 @@ def check_programs(browser, work, session):
             wait(browser, "document.querySelectorAll('#part .asked').length > 0", 10)
             asked = browser.js("[...document.querySelectorAll('#part .asked [id]')].map((e) => e.id)")
             check("what a .mat does not state is asked for", "part-unit" in asked, asked)
+            said = browser.js("document.querySelector('#part-unit').closest('label').querySelector('.refused').textContent")
+            check("with the words of the reader beside the field", "is not in the file" in said, said[:80])
             browser.js("document.getElementById('part-unit').value = 'm'; document.getElementById('part-coordinate_unit').value = 'm'")
             browser.js("document.getElementById('part-unit').dispatchEvent(new Event('change'))")
             wait(browser, "planish.state.session.part.end === 'done'", 60)
@@ -382,6 +385,7 @@ def main():
     parser.add_argument("work", type=pathlib.Path)
     parser.add_argument("--shots", type=pathlib.Path)
     parser.add_argument("--file", action="append", default=[])
+    parser.add_argument("--docs", type=pathlib.Path)
     options = parser.parse_args()
     shutil.rmtree(options.work, ignore_errors=True)
     options.work.mkdir(parents=True)
@@ -390,6 +394,12 @@ def main():
     browser.size(1280, 900)
     try:
         visit(browser, app.address)
+        if options.docs:
+            check_demo(browser, None)
+            check_estimates(browser)
+            browser.js("document.getElementById('plan').scrollIntoView()")
+            browser.settle()
+            return browser.shot(options.docs)
         if options.shots:
             browser.shot(options.shots / "empty.png", whole=True)
         check_demo(browser, options.shots)

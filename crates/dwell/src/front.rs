@@ -17,13 +17,14 @@
 //! of the machine add. The dwell times of this estimate may differ much from one to the next, as no motion is made of
 //! them.
 
-use planish_types::{Invalid, Surface, Tif, ToolPath, doubts};
+use planish_types::{Invalid, PARTS_TOLERANCE, Surface, Tif, ToolPath, doubts};
 use rayon::prelude::*;
 use serde::Serialize;
 
 use crate::{
     DwellError,
-    bounded_least_squares::{Bound, BoundedSettings, bounds, solve},
+    bounded_least_squares::{Bound, BoundedSettings, Program, bounds, solve_columns},
+    columns::ToolPlace,
 };
 
 /// Exponents of ten of the prices, relative to the mean square of the map over the time to remove its RMS. Chosen: the
@@ -82,7 +83,7 @@ pub struct Front {
 /// worth of time.
 ///
 /// # Errors
-/// Refuses a worth out of its range, and what [`solve`] refuses.
+/// Refuses a worth out of its range, and what [`solve_columns`] refuses.
 pub fn front(
     desired: &Surface,
     tif: &Tif,
@@ -96,23 +97,35 @@ pub fn front(
     if !(worth.is_finite() && worth >= 0.0) {
         return Err(Invalid::whole(name, format!("is {worth}"), "give a finite number >= 0").into());
     }
-    let problem = Problem { desired, tif, path, min_dwell: settings.min_dwell };
+    let mut said = Vec::new();
+    if tif.variation().is_some_and(|v| v.time_factor().is_some()) {
+        said.push("the rate of the tool depends on the time of the run, and the front takes it as at its start".into());
+    }
+    let tif = &*tif.without_time();
+    let tif = &*tif.on_lattice_of(desired.grid(), PARTS_TOLERANCE)?.tif;
+    let bounds = bounds(
+        path,
+        &BoundedSettings { min_dwell: settings.min_dwell, ..BoundedSettings::default() },
+    )?;
+    let places = BoundedSettings::default().columns.places(path, tif);
+    let problem = Problem { desired, tif, path, places, bounds };
     let scale = problem.scale_nm2_per_s();
-    let mut points = EXPONENTS
-        .par_iter()
-        .map(|exponent| problem.point(scale * 10_f64.powf(*exponent)))
+    let chains = EXPONENTS
+        .par_chunks(EXPONENTS.len() / 2)
+        .map(|exponents| problem.chain(exponents.iter().map(|e| scale * 10_f64.powf(*e))))
         .collect::<Result<Vec<_>, _>>()?;
+    let mut points = chains.concat();
     let chosen = match settings.worth {
         Worth::Elasticity(x) => point_of_elasticity(&points, x),
-        Worth::Nm2PerS(price) => problem.point(price)?,
+        Worth::Nm2PerS(price) => problem.chain([price].into_iter())?[0],
     };
     if !points.contains(&chosen) {
         points.push(chosen);
     }
     points.sort_by(|a, b| a.time_s.total_cmp(&b.time_s));
-    let floor_s = bounds(path, &problem.bounded(0.0))?.0.iter().sum();
-    let doubts = doubts::of_floor(desired, tif, floor_s).into_iter().collect();
-    Ok(Front { points, chosen, doubts })
+    let floor_s = problem.bounds.0.iter().sum();
+    said.extend(doubts::of_floor(desired, tif, floor_s));
+    Ok(Front { points, chosen, doubts: said })
 }
 
 /// Inputs of (1), without the price.
@@ -120,23 +133,38 @@ struct Problem<'a> {
     desired: &'a Surface,
     tif: &'a Tif,
     path: &'a ToolPath,
-    min_dwell: Bound,
+    /// Places of the tool in each column of the removal matrix.
+    places: Vec<Vec<ToolPlace>>,
+    /// Lower and upper bounds of the dwell times, s.
+    bounds: (Vec<f64>, Vec<f64>),
 }
 
 impl Problem<'_> {
-    /// Solves (1) at one price.
-    fn point(&self, price_nm2_per_s: f64) -> Result<FrontPoint, DwellError> {
-        let settings = self.bounded(price_nm2_per_s);
-        let solution = solve(self.desired, self.tif, self.path, None, &settings)?;
-        let report = &solution.report;
-        Ok(FrontPoint { price_nm2_per_s, rms_nm: report.model_rms_nm, time_s: report.total_time_s })
+    /// Solves (1) at falling prices, nm^2/s, each from the dwell times of the one before.
+    fn chain(&self, prices: impl Iterator<Item = f64>) -> Result<Vec<FrontPoint>, DwellError> {
+        let mut points = Vec::new();
+        let mut guess = None;
+        for price_nm2_per_s in prices {
+            let (lo, hi) = self.bounds.clone();
+            let program = Program { places: &self.places, lo, hi, guess, quadratic: None };
+            let settings = self.bounded(price_nm2_per_s);
+            let solution =
+                solve_columns(self.desired, self.tif, self.path, None, &settings, &program)?;
+            let report = &solution.report;
+            points.push(FrontPoint {
+                price_nm2_per_s,
+                rms_nm: report.model_rms_nm,
+                time_s: report.total_time_s,
+            });
+            guess = Some(solution.dwell.dwell_s().to_vec());
+        }
+        Ok(points)
     }
 
     fn bounded(&self, time_weight_nm2_per_s: f64) -> BoundedSettings {
         let smooth_price = self.scale_nm2_per_s() * 10_f64.powf(SMOOTHER_FROM);
         let smoothness = SMOOTHNESS * (time_weight_nm2_per_s / smooth_price).max(1.0);
         BoundedSettings {
-            min_dwell: self.min_dwell,
             time_weight_nm2_per_s,
             tikhonov: smoothness,
             slope_weight: smoothness,

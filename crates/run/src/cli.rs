@@ -42,7 +42,7 @@ pub enum RunCommand {
     Show(run::Show),
     /// Run every scheduler on the same path and dwell times, along three paths, and compare the plans
     ///
-    /// Each path is a run of its own in out/compare/FIXTURE/PATH, or in OUT/PATH with out=OUT. The report beside them
+    /// Each path is a run of its own in out/compare/MIRROR/PATH, or in OUT/PATH with out=OUT. The report beside them
     /// holds all three.
     Compare(compare::Compare),
     /// Print the effect of the errors of a process on the plans of several pipelines, the best first

@@ -166,7 +166,9 @@ class MapView {
   }
 
   read() {
-    const [x, y] = this.place(this.point), value = this.map.values[this.point[1] * this.map.shape[0] + this.point[0]];
+    // A nanometre is less than any step of a map.
+    const [x, y] = this.place(this.point).map((mm) => +mm.toFixed(6));
+    const value = this.map.values[this.point[1] * this.map.shape[0] + this.point[0]];
     this.value.textContent = `x ${number(x)} mm, y ${number(y)} mm: ${Number.isFinite(value) ? number(value) + " " + this.map.unit : "invalid"}`;
   }
 

@@ -110,7 +110,10 @@ function showStep(step, messages) {
   const isOpen = place.querySelector("details")?.open ?? false;
   const lines = found.commands.map((words) => words.map(shellWord).join(" ")).join("\n");
   const log = element("pre", { className: "messages", textContent: messages, tabIndex: 0 });
-  place.replaceChildren(...warnings.map((line) => element("p", { className: "doubt", textContent: line })),
+  // Below the heading, where a long form does not push them off the screen.
+  section.querySelector(".said")?.remove();
+  section.querySelector("h2").after(element("div", { className: "said" }, ...warnings.map((line) => element("p", { className: "doubt", textContent: line }))));
+  place.replaceChildren(
     element("details", {}, element("summary", { textContent: "The same in a script" }), element("pre", { className: "command", textContent: lines })),
     element("details", { open: isOpen || found.end === "running" && step === "plan" }, element("summary", { textContent: "All messages of this step" }), log));
   log.scrollTop = log.scrollHeight;

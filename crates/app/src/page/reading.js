@@ -80,7 +80,12 @@ function askFor(step, messages) {
   const error = messages.split("\n").filter((line) => line.startsWith("error: ")).join("\n");
   const flags = new Set([...error.matchAll(/--([a-z][a-z-]*[a-z])/g)].map((match) => match[1].replaceAll("-", "_")));
   const asked = READING.map(([name]) => name).filter((name) => flags.has(name)).map((name) => $(`${step}-${name}`));
-  for (const [name] of READING) $(`${step}-${name}`).closest("label").classList.toggle("asked", flags.has(name));
+  for (const [name] of READING) {
+    const label = $(`${step}-${name}`).closest("label");
+    label.classList.toggle("asked", flags.has(name));
+    label.querySelector(".refused")?.remove();
+    if (flags.has(name)) label.append(element("small", { className: "bad refused", textContent: error.replace("error: ", "") }));
+  }
   if (asked.length === 0) return;
   $(`${step}-reading`).closest("details").open = true;
   if (!document.activeElement?.closest(`#${step}-reading`)) asked[0].focus();
