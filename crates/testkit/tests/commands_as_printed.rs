@@ -572,13 +572,9 @@ fn every_command_is_in_a_block_that_is_run_and_every_exception_is_needed() {
     for (name, page) in &pages {
         for block in blocks(page).iter().filter(|block| block.mark != "sh") {
             for line in block.text.lines() {
-                let mut words = line.split_whitespace();
-                let is_command = match words.next() {
-                    Some("just" | "cargo") => true,
-                    // A message of a command begins with its name and a colon.
-                    Some("planish") => words.next().is_some_and(|word| !word.ends_with(':')),
-                    _ => false,
-                };
+                let first = line.split_whitespace().next().unwrap_or_default();
+                let is_command =
+                    ["just", "cargo"].contains(&first) || first.starts_with("planish-");
                 assert!(!is_command, "{name}: mark the block of `{line}` with sh");
             }
         }
