@@ -49,6 +49,9 @@ def execute(notebook):
         cell.metadata.clear()
         for output in cell.get("outputs", []):
             output.get("metadata", {}).clear()
+            if "text" in output:
+                # A warning begins with the file of its cell, which has the number of the process.
+                output["text"] = re.sub(r"\S*/ipykernel_\d+/\d+\.py:\d+: ", "", output["text"])
     notebook.metadata = {
         "kernelspec": {"display_name": "Python 3", "language": "python", "name": "python3"},
         "language_info": {"name": "python"},
