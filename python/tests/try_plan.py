@@ -1,4 +1,4 @@
-"""The lines of README.md that go from arrays to a program; `planish.plan` beside them, and maps as files of other programs.
+"""The lines of python/README.md that go from arrays to a program; `planish.plan` beside them, and maps as files of other programs.
 
     environment/bin/python try_plan.py         in an empty directory; ends with 0 when all of it is as it should be
 
@@ -20,8 +20,8 @@ import xarray
 from mirror import MACHINE, arrays, check, write
 
 matplotlib.use("Agg")
-README = pathlib.Path(__file__).resolve().parents[2] / "README.md"
-# Longest time of the lines of README.md, s. It takes 8 s of processor time, so a busy machine needs the margin.
+README = pathlib.Path(__file__).resolve().parents[1] / "README.md"
+# Longest time of its lines, s. It takes 8 s of processor time, so a busy machine needs the margin.
 LONGEST_S = 30
 SETTINGS = {"path": "raster", "pitch_mm": 4, "step_mm": 4, "plan_joint": False}
 
@@ -34,7 +34,7 @@ def the_lines_of_the_readme():
     begun = time.monotonic()
     exec("\n".join(lines), {})
     took = time.monotonic() - begun
-    print(f"the five lines of README.md: {took:.0f} s, {pathlib.Path('mirror.dmc').stat().st_size} bytes of a Galil program")
+    print(f"the five lines of python/README.md: {took:.0f} s, {pathlib.Path('mirror.dmc').stat().st_size} bytes of a Galil program")
     assert took <= LONGEST_S, took
 
 

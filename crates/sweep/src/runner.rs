@@ -13,7 +13,7 @@ use std::{
     time::SystemTime,
 };
 
-use planish_handoff::{Failure, Running, stage_command};
+use planish_handoff::{Failure, Running, as_command, stage_command};
 use planish_sweep::plan::Step;
 
 /// Result of the process of a stage.
@@ -94,9 +94,9 @@ impl Stages {
         let error = message.strip_prefix("error: ").unwrap_or(message);
         Ok(match status.code() {
             Some(0) => End::Done,
-            Some(1) => End::Negative(format!("{}: {verdict}", step.program)),
-            Some(2) => End::Failed(format!("{}: {error}", step.program)),
-            _ => End::Killed(format!("{}: {status}", step.program)),
+            Some(1) => End::Negative(format!("{}: {verdict}", as_command(&step.program))),
+            Some(2) => End::Failed(format!("{}: {error}", as_command(&step.program))),
+            _ => End::Killed(format!("{}: {status}", as_command(&step.program))),
         })
     }
 

@@ -14,7 +14,7 @@
 #![cfg(unix)]
 
 use std::{
-    fs,
+    fs, iter,
     os::unix::fs::{PermissionsExt, symlink},
     path::{Path, PathBuf},
     process::{Command, Output},
@@ -121,6 +121,13 @@ const LAST_DIGITS: f64 = 2.0;
 /// acceleration of the plan `joint` differs by 0.75 % between two processors.
 const OTHER_PROCESSOR: f64 = 1e-2;
 
+/// The same for the numbers of a row of the plan `joint`, in their order: four residuals, two times, two velocities and
+/// two accelerations. Its solver stops within 1e-3 of the least objective. There the objective is flat, so time and
+/// extremes of the motion differ more than the residual. Measured between two processors: 1.03 % of the time, 3.3 % of a
+/// velocity, 3.8 % of an acceleration.
+const JOINT_ON_OTHER_PROCESSOR: [f64; 10] =
+    [1e-2, 1e-2, 1e-2, 1e-2, 2e-2, 2e-2, 5e-2, 5e-2, 5e-2, 5e-2];
+
 /// Beginning of the line above a block that a command prints.
 const PRINTED_BY: &str = "<!-- printed by: ";
 /// Beginning of the part of that line that excludes the last N numbers, for times and memory.
@@ -181,20 +188,24 @@ fn words_and_numbers(line: &str) -> (String, Vec<String>) {
     (words.join(" "), numbers)
 }
 
-/// Returns true if two numbers differ by at most [`LAST_DIGITS`] of the one that is shown, or [`OTHER_PROCESSOR`] of it.
-fn same_number(shown: &str, printed: &str) -> bool {
+/// Returns true if two numbers differ by at most [`LAST_DIGITS`] of the one that is shown, or the fraction `relative` of
+/// it.
+fn same_number(shown: &str, printed: &str, relative: f64) -> bool {
     let decimals = shown.split_once('.').map_or(0, |(_, fraction)| fraction.len());
     let [shown, printed] = [shown, printed].map(|text| text.parse::<f64>().unwrap());
     // A thousandth of a digit allows for the rounding of the two decimal fractions.
     let of_digits = (LAST_DIGITS + 1e-3) * 10_f64.powi(-(decimals as i32));
-    (shown - printed).abs() <= of_digits.max(OTHER_PROCESSOR * shown.abs())
+    (shown - printed).abs() <= of_digits.max(relative * shown.abs())
 }
 
 /// Returns true if `printed` has the words of `shown`, and its numbers but for the last `varying`.
 fn same_line(shown: &str, printed: &str, varying: usize) -> bool {
+    let own: &[f64] = if shown.starts_with("joint") { &JOINT_ON_OTHER_PROCESSOR } else { &[] };
+    let tolerances = own.iter().copied().chain(iter::repeat(OTHER_PROCESSOR));
     let (shown, printed) = (words_and_numbers(shown), words_and_numbers(printed));
     let fixed = shown.1.len().saturating_sub(varying);
-    shown.0 == printed.0 && shown.1[..fixed].iter().zip(&printed.1).all(|(a, b)| same_number(a, b))
+    let mut numbers = shown.1[..fixed].iter().zip(&printed.1).zip(tolerances);
+    shown.0 == printed.0 && numbers.all(|((a, b), relative)| same_number(a, b, relative))
 }
 
 /// The lines of `output` that a block shows: as many as it has, from a line that begins with its first word. Of several
@@ -561,13 +572,9 @@ fn every_command_is_in_a_block_that_is_run_and_every_exception_is_needed() {
     for (name, page) in &pages {
         for block in blocks(page).iter().filter(|block| block.mark != "sh") {
             for line in block.text.lines() {
-                let mut words = line.split_whitespace();
-                let is_command = match words.next() {
-                    Some("just" | "cargo") => true,
-                    // A message of a command begins with its name and a colon.
-                    Some("planish") => words.next().is_some_and(|word| !word.ends_with(':')),
-                    _ => false,
-                };
+                let first = line.split_whitespace().next().unwrap_or_default();
+                let is_command =
+                    ["just", "cargo"].contains(&first) || first.starts_with("planish-");
                 assert!(!is_command, "{name}: mark the block of `{line}` with sh");
             }
         }
@@ -598,6 +605,12 @@ fn a_stale_number_is_found_and_a_time_of_computation_is_not() {
     assert!(!same_line("rms 0.154 nm, 12 s", lines[0], 0), "the time is another");
     assert!(!same_line("rms 0.154 nm, 12 s", "rms 0.1562 nm, 12 s", 1), "2.2 units");
     assert!(!same_line("of (3.0 mm)", "of (3.0 um)", 0), "another unit");
+    // The time of a joint plan may differ by 2 %, its residual by 1 %, and another plan by 1 %.
+    let row =
+        |name: &str, rms: &str, s: &str| format!("{name} {rms} 0.1 0.1 0.9 {s} 11 31.03, 5.7");
+    assert!(same_line(&row("joint", "0.1169", "678.50"), &row("joint", "0.1172", "666.00"), 0));
+    assert!(!same_line(&row("joint", "0.1169", "678.50"), &row("joint", "0.1192", "678.50"), 0));
+    assert!(!same_line(&row("pvt", "0.1169", "678.50"), &row("pvt", "0.1169", "666.00"), 0));
     assert_eq!(shown_lines(&block, "nothing\n"), None);
     // Two lines that begin alike: the place where both lines have the words of the block.
     let page = "```\na: 1 x\na: 2 y\n```\n";

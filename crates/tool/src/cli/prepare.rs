@@ -4,7 +4,8 @@ use std::path::PathBuf;
 
 use clap::Args;
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, flags::OutputArgs, say, warn, with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, as_command, flags::OutputArgs, say, warn,
+    with_flags,
 };
 use planish_tool::{
     tif::{Centre, TifReport, TifSettings, prepare_tif, tif_statistics},
@@ -82,7 +83,7 @@ impl PrepareArgs {
             status = fit.negative().map_or(Status::Done, Status::Negative);
             say(format!(
                 "{}: fit: residual {:.3} % of the peak RMS, VRR of the formula {:.4} of the samples'",
-                name.program,
+                as_command(name.program),
                 100.0 * fit.residual_rms_to_peak,
                 fit.vrr_ratio
             ));
@@ -96,7 +97,7 @@ impl PrepareArgs {
         say(format!(
             "{}: TIF {} x {} samples, {:.4} x {:.4} mm; peak {:.4} nm/s, VRR {:.4} nm mm^2/s, \
              centroid ({:.4}, {:.4}) mm, border {:.2} % of the peak",
-            name.program,
+            as_command(name.program),
             s.shape.1,
             s.shape.0,
             s.pitch_mm[0],
@@ -108,7 +109,10 @@ impl PrepareArgs {
             100.0 * s.border_to_peak
         ));
         report.doubts.iter().for_each(warn);
-        report.note.iter().for_each(|note| say(format!("{}: note: {note}", name.program)));
+        report
+            .note
+            .iter()
+            .for_each(|note| say(format!("{}: note: {note}", as_command(name.program))));
         Ok(status)
     }
 }

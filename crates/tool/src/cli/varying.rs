@@ -6,8 +6,8 @@ use std::path::{Path, PathBuf};
 use clap::{Args, ValueEnum};
 use ndarray::{Array2, Zip};
 use planish_handoff::{
-    Artifact, Begin, Failure, Inputs, Output, Status, Tool, flags::OutputArgs, say, warn,
-    with_flags,
+    Artifact, Begin, Failure, Inputs, Output, Status, Tool, as_command, flags::OutputArgs, say,
+    warn, with_flags,
 };
 use planish_tool::varying::{
     Carrier, Direction, Footprint, LocalTool, LowRank, LowRankReport, LowRankSettings, Overhang,
@@ -216,7 +216,7 @@ fn write(
         )
     });
     let kernels = if rank == 1 { "1 kernel".to_string() } else { format!("{rank} kernels") };
-    say(format!("{}: tool of {kernels}{exact} -> {}", name.program, out.display()));
+    say(format!("{}: tool of {kernels}{exact} -> {}", as_command(name.program), out.display()));
     Ok(status)
 }
 
@@ -567,7 +567,7 @@ impl FootprintArgs {
         if self.direction == DirectionArg::Fixed && !has_law {
             say(format!(
                 "{}: note: without --exponent or --table the yield does not depend on the incidence",
-                name.program
+                as_command(name.program)
             ));
         }
         let settings = json!({
