@@ -32,18 +32,20 @@ const EXPORT: &str = "export";
 const NOT_ESTIMATED: [&str; 5] = [EXPORT, "program_of", "frames", "noise_nm", "step_mm"];
 /// Setting of the name of the part.
 const PART_NAME: &str = "part_name";
-/// Settings that are texts for the heads of the report and of the program, and name no file.
+/// Settings that are texts for the heads of the report and of the program. They name no file.
 const STATED: [&str; 4] = [PART_NAME, "part_number", "date", "operator"];
-/// Distance of the lines of an estimate, over the full width at half maximum of the tool, if those of the plan are closer.
-/// Larger: dwell times that remove less well than those of the plan. Smaller: slower estimates: at 0.12 minutes on the
-/// fixture flat-92x16, because many dwell times are at their floor. A Gaussian tool has no ripple of these lines, 4e-17.
+/// Distance of the lines of an estimate, over the full width at half maximum of the tool, if those of the plan
+/// are closer. Larger: dwell times that remove less well than those of the plan. Smaller: slower estimates; 0.12
+/// takes minutes on the fixture flat-92x16, because many dwell times are at their floor. The ripple of a Gaussian
+/// tool is 1e-17 there.
 const PITCH_PER_WIDTH: f64 = 0.3;
-/// Distances of the dwell points of an estimate, over the same width: of few points, and of many. Larger: dwell times
-/// that remove less well than a motion. Smaller: slower estimates. Measured beside the plan joint: at 0.3 the residual is
-/// -9 to +7 % off on rasters, a maze and a random path on coupon, and on disk-100; at 0.4 +21 % on disk-100.
+/// Distances of the dwell points of an estimate, over the same width: of few points, and of many. Larger: dwell
+/// times that remove less well than a motion. Smaller: slower estimates. Measured beside the plan joint: at 0.3
+/// the residual is -9 to +7 % off on rasters, a maze and a random path on coupon, and on disk-100; at 0.4 +21 %
+/// on disk-100.
 const STEPS_PER_WIDTH: [f64; 2] = [0.3, 0.4];
-/// Dwell points up to which they are few. Larger: estimates of spirals take longer than two seconds. Smaller: larger parts
-/// have the larger distance, and a larger residual than their plans.
+/// Dwell points up to which they are few. Larger: estimates of spirals take longer than two seconds. Smaller:
+/// larger parts have the larger distance, and a larger residual than their plans.
 const FEW_POINTS: f64 = 4000.0;
 /// Largest number of dwell points of an estimate. Larger: estimates that take minutes. Smaller: none of large parts.
 const MOST_POINTS: f64 = 20_000.0;
@@ -371,6 +373,9 @@ impl ToolChoice {
                 ])]);
             }
             ToolSource::Varying(names) => {
+                if names.is_empty() {
+                    return Err(Refusal::of_value("give the files of the tool"));
+                }
                 names.iter().try_for_each(|name| check_file_name(name))?;
                 return Ok(vec![]);
             }
@@ -532,7 +537,7 @@ impl PlanChoice {
             left_out.extend(["min_dwell_s", "min_dwell_s_per_mm"]);
             // As much time per area as along the lines of the plan.
             let floor_s_per_mm = coarser * self.floor_s_per_mm(description, of.floor_s_per_mm);
-            command.push(format!("min_dwell_s_per_mm={floor_s_per_mm}"));
+            command.push(format!("min_dwell_s_per_mm={}", (1e6 * floor_s_per_mm).round() / 1e6));
         }
         if coarser > 1.0 {
             left_out.push("pitch_mm");

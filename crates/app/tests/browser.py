@@ -397,7 +397,7 @@ def main():
         if options.docs:
             check_demo(browser, None)
             check_estimates(browser)
-            browser.js("document.getElementById('plan').scrollIntoView()")
+            browser.js("document.getElementById('directory').hidden = true; document.getElementById('plan').scrollIntoView()")
             browser.settle()
             return browser.shot(options.docs)
         if options.shots:

@@ -304,6 +304,9 @@ impl Server {
                 }
             }
             ToolSource::Varying(names) => {
+                for name in names {
+                    self.files.inside(&format!("{VARYING_TOOL}/{name}"))?;
+                }
                 self.files.keep_alone(VARYING_TOOL, names)?;
                 let read = Inputs::new().read_tool("tif", &self.files.inside(VARYING_TOOL)?);
                 read.map_err(|e| Refusal::of_value(e.to_string()))?;

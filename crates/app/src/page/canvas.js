@@ -33,6 +33,11 @@ function themeColour(name) {
   return getComputedStyle(document.documentElement).getPropertyValue("--" + name).trim();
 }
 
+/** Draws again when the page turns dark or light. */
+function onTheme(draw) {
+  matchMedia("(prefers-color-scheme: dark)").addEventListener("change", draw);
+}
+
 /** Number of colours of a palette. */
 const COLOURS = 256;
 

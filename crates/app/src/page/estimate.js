@@ -129,9 +129,9 @@ async function comparePaths() {
 }
 
 function drawFront() {
-  const { answer } = estimates[selectedPipeline()], canvas = $("front");
-  if (canvas.clientWidth === 0) return;
-  paintFront(begin(canvas, 240), canvas.clientWidth, answer);
+  const canvas = $("front");
+  if ($("front-box").hidden || canvas.clientWidth === 0) return;
+  paintFront(begin(canvas, 240), canvas.clientWidth, estimates[selectedPipeline()].answer);
 }
 
 function paintFront(context, width, answer) {
@@ -177,5 +177,6 @@ function startEstimates() {
   $("front-box").querySelector(".copy").addEventListener("click", () => navigator.clipboard.writeText("time_s\trms_nm\tprice_nm2_per_s\n" +
     estimates[selectedPipeline()].answer.points.map((p) => [p.time_s, p.rms_nm, p.price_nm2_per_s].join("\t")).join("\n") + "\n"));
   $("compare-paths").addEventListener("click", () => comparePaths().catch((error) => fail(error.message)));
-  new ResizeObserver(() => !$("front-box").hidden && drawFront()).observe($("front-box"));
+  new ResizeObserver(drawFront).observe($("front-box"));
+  onTheme(drawFront);
 }

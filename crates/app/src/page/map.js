@@ -44,7 +44,7 @@ class MapView {
       this.histogram.setAttribute("aria-label", `Histogram: ${title}`);
     }
     new ResizeObserver(() => this.draw()).observe(root);
-    matchMedia("(prefers-color-scheme: dark)").addEventListener("change", () => this.draw());
+    onTheme(() => this.draw());
   }
 
   show(map) {

@@ -99,4 +99,5 @@ function startResult() {
   $("across-box").querySelector(".copy").addEventListener("click", () => navigator.clipboard.writeText(acrossText()));
   $("across-scale").addEventListener("change", drawAcross);
   new ResizeObserver(drawAcross).observe($("across-box"));
+  onTheme(drawAcross);
 }
