@@ -303,19 +303,23 @@ def problems_table(scored):
 
 
 def lines_table(scored):
-    """Returns the slopes of every mirror line before and after its recommended plan."""
-    columns = ["line", "tool, mm", "slopes before, nrad", "after", "heights before, nm", "after", "time, s"]
+    """Returns the slopes of every mirror line before and after its recommended plan, and what its file says of it."""
+    columns = ["line", "laboratory", "year", "stated slopes, nrad", "tool, mm", "slopes before, nrad", "after"]
+    columns += ["heights before, nm", "after", "time, s"]
     table = []
     for name in filter(is_line, scored):
         mine = next(iter(rows_of(scored[name], scored[name]["recommended"])), None)
         if mine is None or mine.get("excess") is None:
             continue
         folder = measured_folder(definition(name)) / "surface"
+        about = json.loads((folder.parent / "about.json").read_text())
         (_, x_mm), (shape, heights) = array(folder / "x_mm.npy"), array(folder / "height_nm.npy")
         middle = heights[shape[1] * (shape[0] // 2) :][: shape[1]]
         slopes = [1e3 * (b - a) / (x_mm[1] - x_mm[0]) for a, b in zip(middle, middle[1:])]
         _, number, _, sigma = name.split("-")
-        cells = [number, sigma, f"{deviation(slopes):.0f}", f"{mine['slope_rms_nrad'][0]:.1f}"]
+        stated = about["slopes_nrad"]
+        cells = [number, about["laboratory"], about["year"], f"{stated:.0f}" if stated else ""]
+        cells += [sigma, f"{deviation(slopes):.0f}", f"{mine['slope_rms_nrad'][0]:.1f}"]
         cells += [f"{deviation(middle):.3f}", f"{mine['residual_rms_nm']:.4f}", f"{mine['time_s']:.0f}"]
         table.append(cells)
     return columns, table
