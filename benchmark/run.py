@@ -218,6 +218,7 @@ def group(name):
 
 
 def valid(scored):
+    """Returns the motions that keep the limits and whose bound is above 0."""
     return [row for row in scored["rows"] if row.get("excess") is not None]
 
 
@@ -260,13 +261,14 @@ def methods_table(scored):
         cells = [method]
         for g in groups:
             rows = [row for name in scored if group(name) == g for row in rows_of(scored[name], method)]
-            good = [row for row in rows if row.get("excess") is not None]
+            good = [row for row in rows if "time_s" in row]
             if not rows:
                 cells += ["not run", "", ""]
                 continue
             cells.append(f"{len(good)} of {len(rows)}")
             for key in ("excess", "excess_time"):
-                numbers = [row[key] if row[key] is not None else math.inf for row in good]
+                # Without a bound above 0, the excess is infinite.
+                numbers = [math.inf if row[key] is None else row[key] for row in good]
                 cells.append(percent(median(numbers)) if numbers else "")
         table.append(cells)
     return columns, table
@@ -293,7 +295,7 @@ def problems_table(scored):
         mine = next((row for row in rows if row["method"] == one["recommended"]), None)
         cells = [name, pixels(name), len(rows)]
         cells += [percent(best["excess"]), best["method"]] if best else ["", ""]
-        if mine:
+        if mine and "time_s" in mine:
             cells += [mine["method"], percent(mine["excess"]), percent(mine["excess_time"])]
             cells += [f"{mine['bound_rms_nm']:.4g}", f"{mine['time_s']:.1f}"]
         else:
@@ -309,7 +311,7 @@ def lines_table(scored):
     table = []
     for name in filter(is_line, scored):
         mine = next(iter(rows_of(scored[name], scored[name]["recommended"])), None)
-        if mine is None or mine.get("excess") is None:
+        if mine is None or "refused" in mine:
             continue
         folder = measured_folder(definition(name)) / "surface"
         about = json.loads((folder.parent / "about.json").read_text())
