@@ -194,7 +194,7 @@ def run(name, out, problem_file=None):
         return None, f"no method has a motion; see {log}"
     began = time.monotonic()
     code, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
-    if code > 1:
+    if code not in (0, 1):
         return None, f"`planish-benchmark score` ended with code {code}; see {log}"
     rows = json.loads(text)
     for row, method in zip(rows, motions):
@@ -233,7 +233,7 @@ def write_csv(file, columns, rows):
 
 
 def write_tables(scored, out, tables):
-    """Writes every score, and the tables of methods, problems and lines."""
+    """Writes every score, and the tables of methods, problems, lines, plans and solvers."""
     rows = [
         [name, row["method"], *(row.get(column) for column in COLUMNS), row.get("refused")]
         for name, one in scored.items()
@@ -243,6 +243,8 @@ def write_tables(scored, out, tables):
     write_csv(tables / "benchmark-methods.csv", *methods_table(scored))
     write_csv(tables / "benchmark-problems.csv", *problems_table(scored))
     write_csv(tables / "benchmark-lines.csv", *lines_table(scored))
+    write_csv(tables / "benchmark-plans.csv", *plans_table(out))
+    write_csv(tables / "benchmark-solvers.csv", *solvers_table(out))
 
 
 def methods_table(scored):
@@ -302,6 +304,50 @@ def problems_table(scored):
             cells += ["none", "", "", "", ""]
         table.append(cells + [f"{one['plan_s']:.0f}", f"{one['score_s']:.0f}"])
     return columns, table
+
+
+def plans_table(out):
+    """Returns residual and time of the plans of every problem that is planned, scored or not, as their reports say."""
+    plans = [f"first path, {plan}" for plan in ("joint", "pvt+refined", "pvt")]
+    plans += [f"{path}, pvt+refined" for path in OTHER_PATHS]
+    columns = ["problem", "pixels", "before, nm", "recommended"]
+    for one in plans:
+        columns += [f"{one}: nm", "s"]
+    table = []
+    for name in by_pixels(problem_names()):
+        folder = out / "runs" / name
+        if not (folder / "planned.json").exists():
+            continue
+        cells = [name, pixels(name), "", ""]
+        for one in plans:
+            path, method = one.split(", ")
+            file = folder / path.replace("first path", "line" if is_line(name) else "raster") / "report/summary.json"
+            summary = json.loads(file.read_text()) if file.exists() else {"methods": {}}
+            if path == "first path" and summary["methods"]:
+                cells[2:4] = [f"{summary['initial']['rms_nm']:.4g}", summary["best"]]
+            row = summary["methods"].get(method)
+            cells += [f"{row['rms_nm']:.4f}", f"{row['total_time_s']:.0f}"] if row and row["limits_respected"] else ["", ""]
+        table.append(cells)
+    return columns, table
+
+
+def solvers_table(out):
+    """Returns the dwell solvers: medians over the small maps of what they leave and take, over bounded least squares.
+
+    The dwell times lie along the raster and PVT executes them.
+    """
+    ratios = {}
+    for file in sorted(out.glob("runs/*/solvers/report/summary.json")):
+        solvers = json.loads(file.read_text())["solvers"]
+        first = solvers["bounded-least-squares"]
+        for solver, row in solvers.items():
+            keys = ("position_rms_nm", "executed_rms_nm", "executed_time_s")
+            numbers = [row[key] / first[key] if row[key] else math.inf for key in keys]
+            ratios.setdefault(solver, []).append(numbers)
+    columns = ["solver", "maps", "residual at the dwell points", "executed residual", "executed time"]
+    medians = {solver: [median(column) for column in zip(*rows)] for solver, rows in ratios.items()}
+    ordered = sorted(medians.items(), key=lambda item: item[1][1])
+    return columns, [[solver, len(ratios[solver]), *(f"{v:.3f}" for v in row)] for solver, row in ordered]
 
 
 def lines_table(scored):
