@@ -10,9 +10,9 @@
   --errors       these problems again with the errors of the process, by their recommended plans
 
 A problem that has its scores is not run again. A measured problem whose part is missing is left out, with the reason.
-Every map has the plans of `planish run raster` and all schedulers, and every line those of `planish run line`. A small map
-also has all dwell solvers, executed by PVT, B-spline feeds, and the plans of two other paths. The pitch is a quarter of
-the width of the tool; the other settings are those of the pipelines.
+Every map has the plans of `planish run raster` and all schedulers, and every line those of `planish run line`. A map of
+up to 15000 pixels also has all dwell solvers, executed by PVT, B-spline feeds, and the plans of two other paths. The
+pitch is a quarter of the width of the tool; the other settings are those of the pipelines.
 """
 
 import argparse
@@ -326,7 +326,10 @@ def plans_table(out):
             if path == "first path" and summary["methods"]:
                 cells[2:4] = [f"{summary['initial']['rms_nm']:.4g}", summary["best"]]
             row = summary["methods"].get(method)
-            cells += [f"{row['rms_nm']:.4f}", f"{row['total_time_s']:.0f}"] if row and row["limits_respected"] else ["", ""]
+            if row and row["limits_respected"]:
+                cells += [f"{row['rms_nm']:.4f}", f"{row['total_time_s']:.0f}"]
+            else:
+                cells += ["", ""]
         table.append(cells)
     return columns, table
 
