@@ -242,7 +242,7 @@ def write_tables(scored, out, tables):
     write_csv(out / "scores.csv", ["problem", "method", *COLUMNS, "refused"], rows)
     write_csv(tables / "benchmark-methods.csv", *methods_table(scored))
     write_csv(tables / "benchmark-problems.csv", *problems_table(scored))
-    write_csv(tables / "benchmark-lines.csv", *lines_table(scored))
+    write_csv(tables / "benchmark-lines.csv", *lines_table(out))
     write_csv(tables / "benchmark-plans.csv", *plans_table(out))
     write_csv(tables / "benchmark-solvers.csv", *solvers_table(out))
 
@@ -353,27 +353,41 @@ def solvers_table(out):
     return columns, [[solver, len(ratios[solver]), *(f"{v:.3f}" for v in row)] for solver, row in ordered]
 
 
-def lines_table(scored):
-    """Returns the slopes of every mirror line before and after its recommended plan, and what its file says of it."""
+def lines_table(out):
+    """Returns the slopes of every planned mirror line before and after its recommended plan, and what its file says."""
     columns = ["line", "laboratory", "year", "stated slopes, nrad", "tool, mm", "slopes before, nrad", "after"]
     columns += ["heights before, nm", "after", "time, s"]
     table = []
-    for name in filter(is_line, scored):
-        mine = next(iter(rows_of(scored[name], scored[name]["recommended"])), None)
-        if mine is None or "refused" in mine:
+    for name in filter(is_line, problem_names()):
+        plans = out / "runs" / name / "line"
+        summary_file = plans / "report/summary.json"
+        if not summary_file.exists():
             continue
-        folder = measured_folder(definition(name)) / "surface"
-        about = json.loads((folder.parent / "about.json").read_text())
-        (_, x_mm), (shape, heights) = array(folder / "x_mm.npy"), array(folder / "height_nm.npy")
-        middle = heights[shape[1] * (shape[0] // 2) :][: shape[1]]
-        slopes = [1e3 * (b - a) / (x_mm[1] - x_mm[0]) for a, b in zip(middle, middle[1:])]
-        _, number, _, sigma = name.split("-")
+        summary = json.loads(summary_file.read_text())
+        if summary["best"] is None:
+            continue
+        about = json.loads((measured_folder(definition(name)) / "about.json").read_text())
+        maps = [plans / "surface/height_nm.npy", plans / f"methods/{summary['best']}/removal/residual_nm.npy"]
+        before, after = (middle_row(file) for file in maps)
+        step_mm = array(plans / "surface/x_mm.npy")[1][1] - array(plans / "surface/x_mm.npy")[1][0]
         stated = about["slopes_nrad"]
-        cells = [number, about["laboratory"], about["year"], f"{stated:.0f}" if stated else ""]
-        cells += [sigma, f"{deviation(slopes):.0f}", f"{mine['slope_rms_nrad'][0]:.1f}"]
-        cells += [f"{deviation(middle):.3f}", f"{mine['residual_rms_nm']:.4f}", f"{mine['time_s']:.0f}"]
+        _, number, _, sigma = name.split("-")
+        cells = [number, about["laboratory"], about["year"], f"{stated:.0f}" if stated else "", sigma]
+        cells += [f"{slope_rms(before, step_mm):.0f}", f"{slope_rms(after, step_mm):.1f}"]
+        cells += [f"{deviation(before):.3f}", f"{deviation(after):.4f}"]
+        cells.append(f"{summary['methods'][summary['best']]['total_time_s']:.0f}")
         table.append(cells)
     return columns, table
+
+
+def middle_row(file):
+    (rows, columns), heights = array(file)
+    return heights[columns * (rows // 2) :][:columns]
+
+
+def slope_rms(heights_nm, step_mm):
+    """Returns the RMS of the slopes between neighbours without their mean, nrad."""
+    return 1e3 * deviation([(b - a) / step_mm for a, b in zip(heights_nm, heights_nm[1:])])
 
 
 def deviation(numbers):
