@@ -105,7 +105,7 @@ impl Front {
     }
 
     fn has_bound_near(&self, time_s: f64) -> bool {
-        let ratios = self.bounds.iter().map(|bound| bound.time_s / time_s);
-        ratios.into_iter().any(|ratio| ratio.max(ratio.recip()) < TIMES_APART)
+        let mut ratios = self.bounds.iter().map(|bound| bound.time_s / time_s);
+        ratios.any(|ratio| ratio.max(ratio.recip()) < TIMES_APART)
     }
 }
