@@ -116,6 +116,17 @@ def lines(folder):
                 "strip_width_mm": str(STRIP_MM),
             }
             (out / "line.json").write_text(json.dumps(settings, indent=2))
+            (out / "about.json").write_text(json.dumps(statements(about)))
+
+
+def statements(about):
+    """Returns what the file of a line says of the mirror: its laboratory, its year and the RMS of its slopes, nrad."""
+    slopes = about.get("CALC_SLOPE_RMS")
+    return {
+        "laboratory": about.get("FACILITY") or "",
+        "year": about.get("YEAR_FABRICATION") or "",
+        "slopes_nrad": slopes and 1e9 * slopes * about["CALC_SLOPE_RMS_FACTOR"],
+    }
 
 
 def main(folder):

@@ -10,9 +10,9 @@
   --errors       these problems again with the errors of the process, by their recommended plans
 
 A problem that has its scores is not run again. A measured problem whose part is missing is left out, with the reason.
-Every map has the plans of `planish run raster` and all schedulers, and every line those of `planish run line`. A small map
-also has all dwell solvers, executed by PVT, B-spline feeds, and the plans of two other paths. The pitch is a quarter of
-the width of the tool; the other settings are those of the pipelines.
+Every map has the plans of `planish run raster` and all schedulers, and every line those of `planish run line`. A map of
+up to 15000 pixels also has all dwell solvers, executed by PVT, B-spline feeds, and the plans of two other paths. The
+pitch is a quarter of the width of the tool; the other settings are those of the pipelines.
 """
 
 import argparse
@@ -194,7 +194,7 @@ def run(name, out, problem_file=None):
         return None, f"no method has a motion; see {log}"
     began = time.monotonic()
     code, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
-    if code > 1:
+    if code not in (0, 1):
         return None, f"`planish-benchmark score` ended with code {code}; see {log}"
     rows = json.loads(text)
     for row, method in zip(rows, motions):
@@ -218,6 +218,7 @@ def group(name):
 
 
 def valid(scored):
+    """Returns the motions that keep the limits and whose bound is above 0."""
     return [row for row in scored["rows"] if row.get("excess") is not None]
 
 
@@ -232,7 +233,7 @@ def write_csv(file, columns, rows):
 
 
 def write_tables(scored, out, tables):
-    """Writes every score, and the tables of methods, problems and lines."""
+    """Writes every score, and the tables of methods, problems, lines, plans and solvers."""
     rows = [
         [name, row["method"], *(row.get(column) for column in COLUMNS), row.get("refused")]
         for name, one in scored.items()
@@ -241,7 +242,9 @@ def write_tables(scored, out, tables):
     write_csv(out / "scores.csv", ["problem", "method", *COLUMNS, "refused"], rows)
     write_csv(tables / "benchmark-methods.csv", *methods_table(scored))
     write_csv(tables / "benchmark-problems.csv", *problems_table(scored))
-    write_csv(tables / "benchmark-lines.csv", *lines_table(scored))
+    write_csv(tables / "benchmark-lines.csv", *lines_table(out))
+    write_csv(tables / "benchmark-plans.csv", *plans_table(out))
+    write_csv(tables / "benchmark-solvers.csv", *solvers_table(out))
 
 
 def methods_table(scored):
@@ -260,13 +263,14 @@ def methods_table(scored):
         cells = [method]
         for g in groups:
             rows = [row for name in scored if group(name) == g for row in rows_of(scored[name], method)]
-            good = [row for row in rows if row.get("excess") is not None]
+            good = [row for row in rows if "time_s" in row]
             if not rows:
                 cells += ["not run", "", ""]
                 continue
             cells.append(f"{len(good)} of {len(rows)}")
             for key in ("excess", "excess_time"):
-                numbers = [row[key] if row[key] is not None else math.inf for row in good]
+                # Without a bound above 0, the excess is infinite.
+                numbers = [math.inf if row[key] is None else row[key] for row in good]
                 cells.append(percent(median(numbers)) if numbers else "")
         table.append(cells)
     return columns, table
@@ -293,7 +297,7 @@ def problems_table(scored):
         mine = next((row for row in rows if row["method"] == one["recommended"]), None)
         cells = [name, pixels(name), len(rows)]
         cells += [percent(best["excess"]), best["method"]] if best else ["", ""]
-        if mine:
+        if mine and "time_s" in mine:
             cells += [mine["method"], percent(mine["excess"]), percent(mine["excess_time"])]
             cells += [f"{mine['bound_rms_nm']:.4g}", f"{mine['time_s']:.1f}"]
         else:
@@ -302,23 +306,88 @@ def problems_table(scored):
     return columns, table
 
 
-def lines_table(scored):
-    """Returns the slopes of every mirror line before and after its recommended plan."""
-    columns = ["line", "tool, mm", "slopes before, nrad", "after", "heights before, nm", "after", "time, s"]
+def plans_table(out):
+    """Returns residual and time of the plans of every problem that is planned, scored or not, as their reports say."""
+    plans = [f"first path, {plan}" for plan in ("joint", "pvt+refined", "pvt")]
+    plans += [f"{path}, pvt+refined" for path in OTHER_PATHS]
+    columns = ["problem", "pixels", "before, nm", "recommended"]
+    for one in plans:
+        columns += [f"{one}: nm", "s"]
     table = []
-    for name in filter(is_line, scored):
-        mine = next(iter(rows_of(scored[name], scored[name]["recommended"])), None)
-        if mine is None or mine.get("excess") is None:
+    for name in by_pixels(problem_names()):
+        folder = out / "runs" / name
+        if not (folder / "planned.json").exists():
             continue
-        folder = measured_folder(definition(name)) / "surface"
-        (_, x_mm), (shape, heights) = array(folder / "x_mm.npy"), array(folder / "height_nm.npy")
-        middle = heights[shape[1] * (shape[0] // 2) :][: shape[1]]
-        slopes = [1e3 * (b - a) / (x_mm[1] - x_mm[0]) for a, b in zip(middle, middle[1:])]
-        _, number, _, sigma = name.split("-")
-        cells = [number, sigma, f"{deviation(slopes):.0f}", f"{mine['slope_rms_nrad'][0]:.1f}"]
-        cells += [f"{deviation(middle):.3f}", f"{mine['residual_rms_nm']:.4f}", f"{mine['time_s']:.0f}"]
+        cells = [name, pixels(name), "", ""]
+        for one in plans:
+            path, method = one.split(", ")
+            file = folder / path.replace("first path", "line" if is_line(name) else "raster") / "report/summary.json"
+            summary = json.loads(file.read_text()) if file.exists() else {"methods": {}}
+            if path == "first path" and summary["methods"]:
+                cells[2:4] = [f"{summary['initial']['rms_nm']:.4g}", summary["best"]]
+            row = summary["methods"].get(method)
+            if row and row["limits_respected"]:
+                cells += [f"{row['rms_nm']:.4f}", f"{row['total_time_s']:.0f}"]
+            else:
+                cells += ["", ""]
         table.append(cells)
     return columns, table
+
+
+def solvers_table(out):
+    """Returns the dwell solvers: medians over the small maps of what they leave and take, over bounded least squares.
+
+    The dwell times lie along the raster and PVT executes them.
+    """
+    ratios = {}
+    for file in sorted(out.glob("runs/*/solvers/report/summary.json")):
+        solvers = json.loads(file.read_text())["solvers"]
+        first = solvers["bounded-least-squares"]
+        for solver, row in solvers.items():
+            keys = ("position_rms_nm", "executed_rms_nm", "executed_time_s")
+            numbers = [row[key] / first[key] if row[key] else math.inf for key in keys]
+            ratios.setdefault(solver, []).append(numbers)
+    columns = ["solver", "maps", "residual at the dwell points", "executed residual", "executed time"]
+    medians = {solver: [median(column) for column in zip(*rows)] for solver, rows in ratios.items()}
+    ordered = sorted(medians.items(), key=lambda item: item[1][1])
+    return columns, [[solver, len(ratios[solver]), *(f"{v:.3f}" for v in row)] for solver, row in ordered]
+
+
+def lines_table(out):
+    """Returns the slopes of every planned mirror line before and after its recommended plan, and what its file says."""
+    columns = ["line", "laboratory", "year", "stated slopes, nrad", "tool, mm", "slopes before, nrad", "after"]
+    columns += ["heights before, nm", "after", "time, s"]
+    table = []
+    for name in filter(is_line, problem_names()):
+        plans = out / "runs" / name / "line"
+        summary_file = plans / "report/summary.json"
+        if not summary_file.exists():
+            continue
+        summary = json.loads(summary_file.read_text())
+        if summary["best"] is None:
+            continue
+        about = json.loads((measured_folder(definition(name)) / "about.json").read_text())
+        maps = [plans / "surface/height_nm.npy", plans / f"methods/{summary['best']}/removal/residual_nm.npy"]
+        before, after = (middle_row(file) for file in maps)
+        step_mm = array(plans / "surface/x_mm.npy")[1][1] - array(plans / "surface/x_mm.npy")[1][0]
+        stated = about["slopes_nrad"]
+        _, number, _, sigma = name.split("-")
+        cells = [number, about["laboratory"], about["year"], f"{stated:.0f}" if stated else "", sigma]
+        cells += [f"{slope_rms(before, step_mm):.0f}", f"{slope_rms(after, step_mm):.1f}"]
+        cells += [f"{deviation(before):.3f}", f"{deviation(after):.4f}"]
+        cells.append(f"{summary['methods'][summary['best']]['total_time_s']:.0f}")
+        table.append(cells)
+    return columns, table
+
+
+def middle_row(file):
+    (rows, columns), heights = array(file)
+    return heights[columns * (rows // 2) :][:columns]
+
+
+def slope_rms(heights_nm, step_mm):
+    """Returns the RMS of the slopes between neighbours without their mean, nrad."""
+    return 1e3 * deviation([(b - a) / step_mm for a, b in zip(heights_nm, heights_nm[1:])])
 
 
 def deviation(numbers):

@@ -67,9 +67,8 @@ impl Front {
     /// Returns the time, s, below which no path and no motion reaches this residual RMS, nm.
     pub fn bound_time_s(&self, rms_nm: f64) -> f64 {
         let sloping = self.bounds.iter().filter(|bound| bound.bound_slope_nm_per_s > 0.0);
-        let times = sloping.map(|bound| {
-            bound.time_s + (bound.bound_rms_nm - rms_nm) / bound.bound_slope_nm_per_s
-        });
+        let times = sloping
+            .map(|bound| bound.time_s + (bound.bound_rms_nm - rms_nm) / bound.bound_slope_nm_per_s);
         times.fold(0.0, f64::max)
     }
 
@@ -106,7 +105,7 @@ impl Front {
     }
 
     fn has_bound_near(&self, time_s: f64) -> bool {
-        let ratios = self.bounds.iter().map(|bound| bound.time_s / time_s);
-        ratios.into_iter().any(|ratio| ratio.max(ratio.recip()) < TIMES_APART)
+        let mut ratios = self.bounds.iter().map(|bound| bound.time_s / time_s);
+        ratios.any(|ratio| ratio.max(ratio.recip()) < TIMES_APART)
     }
 }

@@ -70,6 +70,8 @@ fn a_motion_has_a_score_above_the_bound() {
     // Rounding of a quotient.
     let excess = number("residual_rms_nm") / number("bound_rms_nm") - 1.0;
     assert!((number("excess") - excess).abs() < 1e-12 && excess > 0.0, "{score}");
+    let excess = number("time_s") / number("bound_time_s") - 1.0;
+    assert!((number("excess_time") - excess).abs() < 1e-12 && excess > 0.0, "{score}");
 }
 
 #[test]

@@ -267,6 +267,9 @@ fn why(summary: &Summary, name: &str, m: &MethodResult) -> String {
 fn beside_bound(summary: &Summary, m: &MethodResult) -> String {
     let Some(bounds) = &summary.bound else { return String::new() };
     let bound_nm = bounds.at_time_nm(m.total_time_s);
+    if bound_nm <= 0.0 {
+        return " In this time the bound on any path is 0 nm RMS, so that it says nothing of the plan.".into();
+    }
     format!(
         " In this time no path and no motion of this tool leaves less than {} nm RMS; the plan leaves {} % more.",
         significant(bound_nm, DIGITS),

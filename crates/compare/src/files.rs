@@ -400,7 +400,8 @@ fn read_bound(
     }
     let manifest = inputs.read_manifest(&format!("{role}/bound"), &dir, &kind::BOUND)?;
     if record_of(&manifest).input("surface") != Some(&surface.digest) {
-        let remark = "bound: it is of another map than that of the run; run planish-dwell bound again";
+        let remark =
+            "bound: it is of another map than that of the run; run planish-dwell bound again";
         return Ok((None, Some(remark.into())));
     }
     Ok((Some(manifest.read_outcome(&dir, "run planish-dwell bound again")?), None))

@@ -488,7 +488,6 @@ mod tests {
     fn several_runs_have_their_name_before_the_method() {
         let second = Summary {
             without_motion: None,
-            bound: None,
             methods: vec![("pvt".into(), method(0.05, false))],
             best: None,
             ..summary()

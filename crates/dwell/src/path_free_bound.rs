@@ -27,8 +27,8 @@
 //!    fraction of the tool apart. Rounds add the places at which `K'e` is highest, until it is bounded at all places of
 //!    a lattice at the pitch of the map or finer.
 //! 2. `highest`: q over the plane, between the nodes of every lattice, too. It gives (1).
-//! 3. `places`: the best dwell times at the places of the lattice. Their residual is the *reached* residual: a plan
-//!    that could stand at every place would leave it.
+//! 3. The multipliers of the constraints are dwell times at their places. Their residual is the *reached* residual: a
+//!    plan that could stand at these places would leave it.
 //!
 //! The gap between the reached residual and the bound says how good both are: the least residual on any path is
 //! between them. The bound is for the tool on the lattice of the map ([`planish_types::TifLattice`]), which is the tool
@@ -43,7 +43,6 @@
 
 mod highest;
 mod interior_point;
-mod places;
 mod splines;
 mod tool;
 
@@ -58,7 +57,6 @@ use serde::Serialize;
 
 use crate::DwellError;
 use highest::{Highest, highest};
-use places::Descent;
 use splines::{Constraints, Splines};
 use tool::{LatticeTool, PartPixels, Place, product, squares};
 
@@ -85,16 +83,6 @@ const SMALL_EXCESS: [f64; 2] = [1e-2, 1e-3];
 /// Complementarity, relative to the square of the residual, at which a round ends: with the coarse and with the fine
 /// splines. Larger: a smaller bound, by a quarter of the last one. Smaller: more steps.
 const COMPLEMENTARITY: [f64; 2] = [5e-3, 1e-3];
-
-/// Gap between the reached residual and the bound at which the steps on the lattice of places end. Larger: less time.
-/// Smaller: up to [`MAX_STEPS`] steps.
-const SMALL_GAP: f64 = 0.005;
-
-/// Largest number of steps on the lattice of places. Larger: a smaller gap. Smaller: less time.
-const MAX_STEPS: usize = 800;
-
-/// Number of steps between two looks at the gap. Larger: up to as many steps too many. Smaller: more removals.
-const STEPS_BETWEEN_LOOKS: usize = 50;
 
 /// Time that a run may take, or the price of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -221,26 +209,23 @@ impl BoundProblem {
 
     /// Returns the bound for a budget.
     fn bound(&self, budget: Budget) -> PathFreeBound {
-        let (residual_nm, start_s) = progress::part(0, 2, || self.by_splines(budget));
-        let highest = highest(&residual_nm, &self.tif, &self.grid);
-        let mut descent = Descent::new(&self.part, &self.tool, budget, start_s);
-        let mut steps = 0;
-        loop {
-            for _ in 0..STEPS_BETWEEN_LOOKS {
-                descent.advance();
-            }
-            steps += STEPS_BETWEEN_LOOKS;
-            progress::done(0.5 + 0.5 * steps as f64 / MAX_STEPS as f64);
-            let reached_rms_nm = self.part.rms(&descent.residual_nm());
-            let time_s = match budget {
-                Budget::TimeS(time_s) => time_s,
-                Budget::Price(_) => descent.dwell_s.sum(),
-            };
-            let bound = self.by_map(&residual_nm, highest, reached_rms_nm, time_s);
-            if steps >= MAX_STEPS || bound.gap <= SMALL_GAP {
-                return bound;
-            }
+        let round = self.by_splines(budget);
+        let reached_rms_nm = self.part.rms(&self.left_nm(&round));
+        let time_s = match budget {
+            Budget::TimeS(time_s) => time_s,
+            Budget::Price(_) => round.dwell_s.sum(),
+        };
+        let highest = highest(&round.residual_nm, &self.tif, &self.grid);
+        self.by_map(&round.residual_nm, highest, reached_rms_nm, time_s)
+    }
+
+    /// Returns the residual (ny, nx) without mean, nm, after the dwell times of a round.
+    fn left_nm(&self, round: &Round) -> Array2<f64> {
+        let mut dwell_s = vec![Array2::zeros(self.adjoints[0].dim()); self.adjoints.len()];
+        for (place, time_s) in round.places.iter().zip(&round.dwell_s) {
+            dwell_s[place.limit][place.index] += *time_s;
         }
+        self.part.residual_nm(self.tool.removal_nm(&dwell_s))
     }
 
     /// Returns the bound (1) of the module by the map e `residual_nm`.
@@ -271,18 +256,13 @@ impl BoundProblem {
         }
     }
 
-    /// Returns the best e by splines (ny, nx), nm, and the dwell times of the first round at all places of the lattice,
-    /// s.
-    fn by_splines(&self, budget: Budget) -> (Array2<f64>, Array2<f64>) {
+    /// Returns the round with the best e by splines.
+    fn by_splines(&self, budget: Budget) -> Round {
         let [coarse, fine] = &self.splines;
         let [loose, tight] = COMPLEMENTARITY;
         let mut places = self.first.clone();
         let mut constraints = self.constraints.clone();
         let mut round = self.round(coarse, &constraints, &places, budget, loose);
-        let mut first_s = Array2::zeros(self.adjoints[0].dim());
-        for (place, dwell_s) in places.iter().zip(&round.dwell_s) {
-            first_s[place.index] = *dwell_s;
-        }
         for k in 1..MAX_ROUNDS {
             if round.excess <= SMALL_EXCESS[0] {
                 break;
@@ -308,7 +288,7 @@ impl BoundProblem {
             constraints.add(&new, fine, (&self.part, &self.tool), &self.adjoints);
             places.extend(new);
         }
-        (round.residual_nm, first_s)
+        round
     }
 
     /// Returns the best e for these splines and constraints.
@@ -334,7 +314,8 @@ impl BoundProblem {
         let price = at_places.fold(0.0, f64::max);
         let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
         let excess = if price > 0.0 { highest / price - 1.0 } else { 0.0 };
-        Round { residual_nm, adjoints, price, excess, dwell_s: solution.dwell_s }
+        let places = places.to_vec();
+        Round { residual_nm, adjoints, price, excess, places, dwell_s: solution.dwell_s }
     }
 
     /// Returns the places at which the adjoint has a local maximum above `price`, over all limits of the tool, and
@@ -383,6 +364,8 @@ struct Round {
     price: f64,
     /// Excess of the largest adjoint at all places over `price`, relative to it.
     excess: f64,
+    /// Places of the constraints.
+    places: Vec<Place>,
     /// Multipliers of the constraints, s.
     dwell_s: Array1<f64>,
 }

@@ -156,6 +156,13 @@ fn a_bound_falls_with_the_time_and_holds_at_other_times() {
 }
 
 #[test]
+fn a_bound_of_a_long_time_holds_at_a_short_one() {
+    let (desired, tif) = random_map(1);
+    let [short, long] = bounds(&desired, &tif, &[2.0, 1e5]).bounds[..] else { panic!("two times") };
+    assert!(long.at_time_nm(2.0) <= short.reached_rms_nm, "{long:?} {short:?}");
+}
+
+#[test]
 fn a_price_and_its_time_have_the_same_bound() {
     let (desired, tif) = random_map(2);
     let settings = BoundSettings { time_weight_nm2_per_s: vec![2e-3], ..BoundSettings::default() };

@@ -45,10 +45,8 @@ impl BoundArgs {
             let motion: Trajectory = inputs.read("trajectory", dir)?;
             time_s.push(motion.total_time_s());
         }
-        let settings = BoundSettings {
-            time_s,
-            time_weight_nm2_per_s: self.time_weight_nm2_per_s.clone(),
-        };
+        let settings =
+            BoundSettings { time_s, time_weight_nm2_per_s: self.time_weight_nm2_per_s.clone() };
         let task = task!("bound", &settings);
         let mut output =
             match Output::directory(&self.output, &kind::BOUND).begin(&task, &inputs)? {

@@ -10,7 +10,7 @@ use super::highest::{flanks_mm, upsampled};
 
 /// Distance of the places relative to the length of the flanks of the tool. Larger: dwell times between the places are
 /// missed, and the best residual on the places is larger. Smaller: more memory and time.
-const PITCH_OF_PLACES: f64 = 1.0 / 11.0;
+const PITCH_OF_PLACES: f64 = 1.0 / 40.0;
 
 /// Largest rate at the edge of a tool, relative to its peak, that is no step. Larger: less work for more tools, and a
 /// smaller bound for them. Smaller: nine times the adjoint products for more tools.
@@ -48,11 +48,6 @@ impl PartPixels {
     /// Returns the residual without its mean (ny, nx), nm, after a removal (ny, nx), nm.
     pub fn residual_nm(&self, removal_nm: Array2<f64>) -> Array2<f64> {
         self.centred(&self.desired_nm - &removal_nm)
-    }
-
-    /// Returns a map (ny, nx) with 0 on the invalid pixels.
-    pub fn on_valid(&self, map: Array2<f64>) -> Array2<f64> {
-        map * &self.valid
     }
 
     /// Returns the RMS of a map (ny, nx) without mean.
@@ -142,10 +137,13 @@ impl LatticeTool {
             .map(|axis| ((fraction * self.flanks[axis] * self.parts[axis] as f64) as usize).max(1))
     }
 
-    /// Returns the removal (ny, nx), nm, by the dwell times at all places, s.
-    pub fn removal_nm(&self, dwell_s: &Array2<f64>) -> Array2<f64> {
+    /// Returns the removal (ny, nx), nm, by the dwell times at all places, s, of every limit.
+    pub fn removal_nm(&self, dwell_s: &[Array2<f64>]) -> Array2<f64> {
         let [px, py] = self.parts;
-        self.limits[0].convolution.valid(dwell_s.view()).slice(s![..;py, ..;px]).to_owned()
+        let removals = self.limits.iter().zip(dwell_s).map(|(limit, dwell_s)| {
+            limit.convolution.valid(dwell_s.view()).slice(s![..;py, ..;px]).to_owned()
+        });
+        removals.reduce(|sum, removal| sum + removal).expect("a tool has limits")
     }
 
     /// Returns the tool at a place, on the valid pixels of the part.
