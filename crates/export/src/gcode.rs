@@ -303,7 +303,7 @@ fn of_planner<const N: usize>(job: &Job<N>, q: &Nodes<N>, feeds: &Feeds) -> [Str
                         file. Comments have the times of the lines. Another controller runs them too fast";
         [sentence.into(), format!("planner: {cost}")]
     } else {
-        let remedy = "planner: it removes more there. --linuxcnc-feeds makes up for it where it can. Record the first run \
+        let remedy = "planner: it removes more there. Export with linuxcnc_feeds, which makes up for it where it can. Record the first run \
                       with the tool off, and compare it by planish import trace and planish simulate";
         [format!("planner: {cost}"), remedy.into()]
     }

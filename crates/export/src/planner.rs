@@ -45,7 +45,7 @@ const ALONG_ARC: f64 = 0.5;
 const SHARP: f64 = PI / 90.0;
 
 /// Half of the length of path over which times are made up for, mm. Larger: more of what a bend costs is made up for
-/// before and behind it, and a small tool sees more of it. Smaller: less. Chosen: a quarter of a tool of 4 mm.
+/// before and after it, and a small tool sees more of it. Smaller: less. Chosen: a quarter of a tool of 4 mm.
 pub(crate) const NEARBY_MM: f64 = 1.0;
 
 /// Largest factor between the feed of a line and its mean speed. Larger: feeds that no piece reaches. Smaller: ramps
@@ -299,7 +299,7 @@ impl<const N: usize> Lines<N> {
 
 impl Piece {
     /// Returns the time of the piece, s, and the speed at its end, from the speed `v` at its start. `end` is the
-    /// largest speed that the pieces behind it allow.
+    /// largest speed that the pieces after it allow.
     fn run(&self, v: f64, end: f64) -> (f64, f64) {
         let a = self.acceleration;
         let (mut v, mut length, mut time) = (v, self.length, 0.0);
