@@ -21,7 +21,7 @@
 //! that is neither.
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer. The head says how much
-//! longer LinuxCNC presumably takes ([`planner`]). With `linuxcnc_feeds` the feeds are those with which it takes the time
+//! longer LinuxCNC presumably takes (`planner.rs`). With `linuxcnc_feeds` the feeds are those with which it takes the time
 //! of the plan, and a comment in every line states that time, because F is none then.
 //!
 //! No offset moves the path. If the positions are readings of the axes, every line has `G53`; else `G54` alone counts,
