@@ -181,7 +181,7 @@ def run(program, machine, log, longest_s, speed=FASTER):
 
 
 def simulate(home, axes, driver, longest_s, speed):
-    """Runs the simulator with these axes of a machine file in the empty folder `home`. `driver` is the program of its
+    """Runs the simulator with these axes of a machine file in the folder `home`. `driver` is the program of its
     user, and the clock runs `speed` times as fast where a C compiler is here. Returns the process that has ended."""
     # The real-time part runs as another user than root.
     home.chmod(0o777)

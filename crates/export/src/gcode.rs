@@ -21,7 +21,7 @@
 //! that is neither.
 //!
 //! The time is nominal: a planner that blends corners, or whose limits are reached, takes longer. The head says how much
-//! longer LinuxCNC presumably takes ([`planner`]). With `linuxcnc_feeds` the feeds are those with which it takes the time
+//! longer LinuxCNC presumably takes (`planner.rs`). With `linuxcnc_feeds` the feeds are those with which it takes the time
 //! of the plan, and a comment in every line states that time, because F is none then.
 //!
 //! No offset moves the path. If the positions are readings of the axes, every line has `G53`; else `G54` alone counts,
@@ -93,7 +93,12 @@ pub struct GcodeSettings {
 
 impl Default for GcodeSettings {
     fn default() -> Self {
-        Self { feed: Feed::InverseTime, path_tolerance_mm: None, rotary_lines: false, linuxcnc_feeds: false }
+        Self {
+            feed: Feed::InverseTime,
+            path_tolerance_mm: None,
+            rotary_lines: false,
+            linuxcnc_feeds: false,
+        }
     }
 }
 
@@ -138,7 +143,6 @@ fn check_rotary<const N: usize>(job: &Job<N>) -> Result<(), Invalid> {
 
 pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Invalid> {
     let settings = &job.settings.gcode;
-    let tick_s = job.tick()?;
     let tolerance = tolerance_mm(job.settings, job.turns())?;
     check_rotary(job)?;
     let switched = job.grids.switches_tool;
@@ -199,27 +203,37 @@ pub(crate) fn write<const N: usize>(job: &Job<N>) -> Result<(String, About), Inv
             text += &format!("G4 P{}\n", decimal(q.wait_s(k), DIGITS));
             continue;
         }
-        let from = q.position(k);
-        let to = q.position(k + 1);
-        // As the interpreter will read them.
-        let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));
-        let plan_s = q.duration(k) as f64 * tick_s;
-        let made_up = feeds.as_ref().filter(|_| settings.linuxcnc_feeds);
-        let seconds = made_up.map_or(plan_s, |feeds| length / feeds.mm_per_s[k]);
-        let feed = match settings.feed {
-            // F = 60 / dt
-            Feed::InverseTime => 60.0 / seconds,
-            // F = 60 length / dt
-            Feed::PerMinute => 60.0 * length / seconds,
-        };
-        let comment = made_up.map(|_| format!(" ({} s)", decimal(plan_s, DIGITS)));
-        let words = job.words(to, DIGITS);
-        text += &format!("{frame}G1 {words} F{}{}\n", significant(feed), comment.unwrap_or_default());
+        text += frame;
+        text += &line(job, &q, k, feeds.as_ref())?;
     }
     text += output("M65 P0\n");
     text += &job.epilogue();
     text += "G94 F60\nM2\n";
     Ok((text, about))
+}
+
+/// Returns the text of the line of segment `k`, without G53.
+fn line<const N: usize>(
+    job: &Job<N>,
+    q: &Nodes<N>,
+    k: usize,
+    feeds: Option<&Feeds>,
+) -> Result<String, Invalid> {
+    let settings = &job.settings.gcode;
+    let (from, to) = (q.position(k), q.position(k + 1));
+    // As the interpreter will read them.
+    let length = (1..N).fold((to[0] - from[0]).abs(), |sum, a| sum.hypot(to[a] - from[a]));
+    let plan_s = q.duration(k) as f64 * job.tick()?;
+    let made_up = feeds.filter(|_| settings.linuxcnc_feeds);
+    let seconds = made_up.map_or(plan_s, |feeds| length / feeds.mm_per_s[k]);
+    let feed = match settings.feed {
+        // F = 60 / dt
+        Feed::InverseTime => 60.0 / seconds,
+        // F = 60 length / dt
+        Feed::PerMinute => 60.0 * length / seconds,
+    };
+    let comment = made_up.map_or(String::new(), |_| format!(" ({} s)", decimal(plan_s, DIGITS)));
+    Ok(format!("G1 {} F{}{comment}\n", job.words(to, DIGITS), significant(feed)))
 }
 
 /// Feeds of the lines, and what the planner of LinuxCNC presumably makes of them.
@@ -246,12 +260,13 @@ fn feeds<const N: usize>(job: &Job<N>, q: &Nodes<N>, tolerance_mm: f64) -> Resul
         }
         let nodes: Vec<[f64; N]> = (first..=last).map(|k| q.position(k)).collect();
         let lines = planner::Lines::new(&nodes, job.plan.axes, tolerance_mm);
-        let mut time_s: Vec<f64> =
-            (first..last).map(|k| q.duration(k) as f64 * tick_s).collect();
-        let mut feed = lines.mean_speeds(&time_s);
+        let line_s: Vec<f64> = (first..last).map(|k| q.duration(k) as f64 * tick_s).collect();
+        let mut feed = lines.mean_speeds(&line_s);
         // The motion begins half a line before the first node, and ends half a line after the last one.
-        time_s[0] *= 1.5;
-        time_s[last - first - 1] *= 1.5;
+        let mut time_s = line_s.clone();
+        for end in [0, last - first - 1] {
+            time_s[end] += 0.5 * line_s[end];
+        }
         if job.settings.gcode.linuxcnc_feeds {
             feed = lines.feeds(&time_s);
         }
@@ -276,19 +291,19 @@ fn of_planner<const N: usize>(job: &Job<N>, q: &Nodes<N>, feeds: &Feeds) -> [Str
     let total_s = q.total_s();
     let (near, near_s) = feeds.most;
     let cost = format!(
-        "LinuxCNC presumably takes {:.3} s, {:+.2} %, most of it at {}: {:.0} ms in {:.0} mm of path",
+        "LinuxCNC presumably takes {:.3} s, {:+.2} %, and {:.0} ms of that in the {:.0} mm of path around {}",
         total_s + feeds.added_s,
         100.0 * feeds.added_s / total_s,
-        job.words(q.position(near), 1),
         1e3 * near_s,
-        2.0 * planner::NEARBY_MM
+        2.0 * planner::NEARBY_MM,
+        job.words(q.position(near), 1)
     );
     if job.settings.gcode.linuxcnc_feeds {
         let sentence = "planner: the feeds make up for the planner of LinuxCNC, with the acceleration limits of the machine \
                         file. Comments have the times of the lines. Another controller runs them too fast";
         [sentence.into(), format!("planner: {cost}")]
     } else {
-        let remedy = "planner: it removes more there. --linuxcnc-feeds makes up for it where it can. Record the first run \
+        let remedy = "planner: it removes more there. Export with linuxcnc_feeds, which makes up for it where it can. Record the first run \
                       with the tool off, and compare it by planish import trace and planish simulate";
         [format!("planner: {cost}"), remedy.into()]
     }

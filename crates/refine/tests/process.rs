@@ -19,11 +19,15 @@ fn machine() -> Limits {
     planish_testkit::machine([100.0; 2], [1000.0; 2])
 }
 
-/// Makes a Gaussian TIF with a standard deviation of 1 mm.
 fn tif() -> Tif {
+    tif_of(8.0)
+}
+
+/// Makes a Gaussian TIF with a standard deviation of 1 mm and this rate in its centre, nm/s.
+fn tif_of(largest: f64) -> Tif {
     let axis = Axis::new(-4.0, 0.25, 33).unwrap();
     let rate = |(r, c): (usize, usize)| {
-        8.0 * (-0.5 * (axis.coordinate_mm(r).powi(2) + axis.coordinate_mm(c).powi(2))).exp()
+        largest * (-0.5 * (axis.coordinate_mm(r).powi(2) + axis.coordinate_mm(c).powi(2))).exp()
     };
     let grid = Grid { x: axis, y: axis };
     Tif::new(grid, Array2::from_shape_fn(grid.shape(), rate)).unwrap()
@@ -177,28 +181,26 @@ fn a_fixed_error_is_made_up_for() {
     }
 }
 
-/// Tests a controller that lags, smooths and slows down at corners: the plan for it leaves at most 1.05 times the
-/// residual that a machine without lag has.
+/// Tests a controller that lags, smooths and slows down at corners, with a tool so fast that a mm takes 4 to 20 ms, as
+/// long as the smoothing: the plan made without it leaves at least 1.2 times the residual of a machine without lag, and
+/// the plan made for it at most 1.05 times.
 #[test]
 fn a_plan_for_a_controller_leaves_what_a_machine_without_lag_does() {
-    let without = plan();
-    let ideal_nm = without.iterates[without.best].rms_nm;
+    let tif = tif_of(220.0);
+    let machine = planish_testkit::machine([400.0; 2], [6000.0; 2]);
+    let mut settings = settings();
+    settings.dwell.min_dwell = Bound::Seconds(0.004);
     let acceleration = "acceleration_mm_per_s2";
     let controller = process(&[
         with(error("corner_speed", 4.0, "mm/s", "fixed"), acceleration, 400.0),
         error("smoothing", 20.0, "ms", "fixed"),
         error("servo_first_order", 8.0, "ms", "fixed"),
     ]);
-    let (_, price) = plan_for(&controller);
+    let (map, path) = (desired(), raster());
+    let (_, price) = refine_for(&map, &tif, &path, &machine, None, &settings, &controller).unwrap();
+    let ideal_nm = price.without.nominal_rms_nm;
     println!("{ideal_nm:.4} nm without lag, {price:?}");
     assert_eq!(price.in_the_objective, ["corner_speed", "smoothing", "servo_first_order"]);
-    assert!(price.with.expected_rms_nm.min(price.without.expected_rms_nm) <= 1.05 * ideal_nm);
-    // Ten times as slow, the lag shows, and the plan makes up for most of it.
-    let slow = process(&[
-        error("smoothing", 200.0, "ms", "fixed"),
-        error("servo_first_order", 80.0, "ms", "fixed"),
-    ]);
-    let (_, price) = plan_for(&slow);
-    println!("ten times as slow: {price:?}");
-    assert!(price.kept && price.with.expected_rms_nm < price.without.expected_rms_nm);
+    assert!(price.without.expected_rms_nm >= 1.2 * ideal_nm);
+    assert!(price.kept && price.with.expected_rms_nm <= 1.05 * ideal_nm);
 }

@@ -4,7 +4,7 @@
 //! planned. The reference positions of `planish-schedule interpolate` are continuous.
 
 use ndarray::Array2;
-use planish_export::{Origin, PATH_DEVIATION_MM, ProgramSettings, pmac, program};
+use planish_export::{Origin, PATH_DEVIATION_MM, ProgramSettings, gcode, pmac, program};
 use planish_import::program::{self as reader, Configuration};
 use planish_schedule::{
     interpolator::{Interpolator, Record, linked_records, records},
@@ -585,6 +585,37 @@ fn dwells_of_a_plan_keep_their_time_as_gcode() {
         let most_s = if is_short { 0.03 } else { 2e-6 + 0.007 * ends as f64 };
         assert!((-most_s..=most_s).contains(&longer_s), "{dwells_s:?}: {longer_s} s longer");
     }
+}
+
+/// The feeds for LinuxCNC are other ones, and the program states the same motion; a line without its time is refused.
+#[test]
+fn feeds_for_linuxcnc_change_no_time_of_the_program() {
+    let cubic = [0.0, 0.0, 30.0, -20.0];
+    let plan = Trajectory::new(vec![0.0, 1.0], vec![[cubic; 2]], vec![true], vec![None]).unwrap();
+    let machine = machine_with(40.0, 97.0);
+    let [plain, made] = [false, true].map(|linuxcnc_feeds| {
+        let gcode = gcode::GcodeSettings { linuxcnc_feeds, ..Default::default() };
+        let settings = ProgramSettings { gcode, ..ProgramSettings::default() };
+        program(&plan, &machine, ControllerKind::Gcode, &settings, &Origin::default()).unwrap().text
+    });
+    let read = |text: &str| {
+        reader::read(ControllerKind::Gcode, text.as_bytes(), &Configuration::default())
+    };
+    let [times, stated] = [&plain, &made].map(|text| read(text).unwrap().break_time_s().to_vec());
+    assert_eq!(times.len(), stated.len());
+    // F has 13 digits.
+    assert!(times.iter().zip(stated).all(|(t, s)| (t - s).abs() < 1e-11));
+    let words = |text: &str| -> Vec<String> {
+        let lines = text.lines().filter(|line| line.starts_with("G1"));
+        lines.map(|line| line.split(" (").next().unwrap_or_default().to_string()).collect()
+    };
+    assert_ne!(words(&plain), words(&made));
+    // Without the first line the checksum is not asked for.
+    let (_, below) = made.split_once('\n').unwrap();
+    let at = below.rfind(" s)\nM65").unwrap();
+    let without = format!("{})\n{}", &below[..at], &below[at + 4..]);
+    let said = read(&without).unwrap_err().to_string();
+    assert!(said.contains("has no comment with its time"), "{said}");
 }
 
 fn machine_with(velocity: f64, acceleration: f64) -> Machine {

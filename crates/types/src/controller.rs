@@ -14,7 +14,7 @@
 //! | `csv` | 1 us | 1 us | 1e-9 mm/s | Hermite | yes | our own table |
 //! | `ros` | 1 us | 1 ms | 1e-9 mm/s | Hermite | no | ROS 2, trajectory_msgs/JointTrajectory (nanoseconds); joint_trajectory_controller, Trajectory Representation (cubic); a period of 1 kHz |
 //! | `aerotech` | 1 ms | 1 ms | 1e-9 mm/s | Hermite | no | EPICS motor module and Lauecollect, AeroBasic PVT (seconds); a trajectory generator of 1 kHz |
-//! | `automation1` | 1 ms | 1 ms | 1e-9 mm/s | Hermite | no | Automation1 C interface, MovePvt (milliseconds), and motorAutomation1, MovePt |
+//! | `automation1` | 0.1 ms | 1 ms | 1e-9 mm/s | Hermite | no | Automation1 C interface, MovePvt (`double` milliseconds), and motorAutomation1, MovePt |
 //! | `sinumerik` | 1 us | 1 ms | none | linear | no | SINUMERIK 840D sl programming manual, G93, G642, CTOL, G4 F |
 //! | `sinumerik-poly` | 1 us | 1 ms | 1e-9 mm/s | Hermite | no | SINUMERIK 840D PGA, POLY, PO, PL, FGROUP, UPATH |
 //! | `twincat` | 2 ms | 2 ms | 1e-9 mm/s | Hermite | yes | a table for our program in the PLC; the default cycle of the NC task (SAF) |
@@ -258,12 +258,12 @@ impl ControllerKind {
             Self::Gcode => (1e-6, 1e-3, Interpolation::Linear, true),
             Self::Csv => (1e-6, 1e-6, Interpolation::Hermite, true),
             Self::Ros => (1e-6, 1e-3, Interpolation::Hermite, false),
-            Self::Aerotech | Self::Automation1 => (1e-3, 1e-3, Interpolation::Hermite, false),
+            Self::Aerotech => (1e-3, 1e-3, Interpolation::Hermite, false),
             Self::Sinumerik => (1e-6, 1e-3, Interpolation::Linear, false),
             Self::SinumerikPoly => (1e-6, 1e-3, Interpolation::Hermite, false),
             Self::Twincat => (2e-3, 2e-3, Interpolation::Hermite, true),
             Self::XpsPt => (1e-4, 1e-3, Interpolation::Linear, false),
-            Self::Zaber => (1e-4, 1e-3, Interpolation::Hermite, false),
+            Self::Automation1 | Self::Zaber => (1e-4, 1e-3, Interpolation::Hermite, false),
         };
         // Their numbers are as fine as they are written.
         let is_fine = matches!(

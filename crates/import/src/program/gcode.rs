@@ -159,23 +159,7 @@ impl<'a> Machine<'a> {
             if value('P') != Some(0.0) {
                 return Err(wrong(number, "switches another output than P0"));
             }
-            if !self.switches && !self.parts.is_empty() {
-                let problem = "switches the tool first here: whether it was on before is not known";
-                return Err(wrong(number, problem));
-            }
-            if !self.switches {
-                // Not switched yet: off, as when the controller starts.
-                self.tool_on = false;
-            }
-            self.switches = true;
-            if with_motion {
-                self.queued = Some(on);
-            } else {
-                self.tool_on = on;
-                if !self.parts.is_empty() {
-                    self.stop(self.here(number)?, 0.0);
-                }
-            }
+            self.switch(number, on, with_motion)?;
         }
         if let Some(feed) = value('F') {
             if feed <= 0.0 {
@@ -211,6 +195,28 @@ impl<'a> Machine<'a> {
             self.go(number, target, value('F'), stated)?;
         }
         Ok(end)
+    }
+
+    /// Switches the tool at once, or with the next motion (`with_motion`). Refuses the first switch within the motion.
+    fn switch(&mut self, number: usize, on: bool, with_motion: bool) -> Result<(), Invalid> {
+        if !self.switches && !self.parts.is_empty() {
+            let problem = "switches the tool first here: whether it was on before is not known";
+            return Err(wrong(number, problem));
+        }
+        if !self.switches {
+            // Not switched yet: off, as when the controller starts.
+            self.tool_on = false;
+        }
+        self.switches = true;
+        if with_motion {
+            self.queued = Some(on);
+        } else {
+            self.tool_on = on;
+            if !self.parts.is_empty() {
+                self.stop(self.here(number)?, 0.0);
+            }
+        }
+        Ok(())
     }
 
     /// Moves to the position `target` by G1, or sets the start position by G0; `None` is an axis whose position is not
@@ -318,7 +324,7 @@ fn stated_s(number: usize, line: &str) -> Result<f64, Invalid> {
     let comment = line.split_once('(').and_then(|(_, comment)| comment.split_once(" s)"));
     let seconds = comment.and_then(|(text, _)| text.parse().ok());
     seconds.filter(|s: &f64| s.is_finite() && *s > 0.0).ok_or_else(|| {
-        let remedy = "write it as (0.002 s) behind the words, or export the program again";
+        let remedy = "write it as (0.002 s) after the words, or export the program again";
         let problem = "has no comment with its time, and the head says that F is none";
         Invalid::at_index("program line", number, problem, remedy)
     })
