@@ -17,10 +17,9 @@ use clap_complete::Shell;
 use planish_types::{ControllerKind, budget};
 
 use crate::{
-    arguments::arguments,
+    arguments::{arguments, as_command},
     describe, from_run,
     message::{complain, shortened},
-    stage::as_command,
     telling, words,
 };
 

@@ -86,6 +86,7 @@ mod telling;
 pub mod words;
 
 pub use allocator::Allocator;
+pub use arguments::as_command;
 pub use artifact::{Arrays, Artifact, Manifest, read_regular};
 pub use children::Running;
 pub use command_line::{controller, pair, with_flags};
@@ -94,7 +95,7 @@ pub use nouns::Tool;
 pub use output::{Begin, Output, OutputFile, Task, Writer, save};
 pub use publish::is_temporary;
 pub use shell::{Failure, Status, program, say, warn};
-pub use stage::{Stage, Subcommands, as_command, stage_command, start};
+pub use stage::{Stage, Subcommands, stage_command, start};
 pub use telling::{exit, keep_output, tells_text};
 
 /// Error about a file or directory that cannot be used. The message states the file, the place, the value and

@@ -21,6 +21,7 @@ use serde_json::{Value, json};
 
 use crate::{
     HandoffError,
+    arguments::as_command,
     artifact::{self, Artifact, Manifest},
     command_line,
     flags::OutputArgs,
@@ -32,7 +33,6 @@ use crate::{
     place::{is_within, obstacle, parent_of, plain, refuse_foreign_files, special_file},
     publish::{self, Staged},
     shell::{Failure, Status, say},
-    stage::as_command,
     telling,
 };
 

@@ -10,10 +10,13 @@ use std::{
     process::{Command, ExitCode},
 };
 
-use crate::{Failure, Status, arguments, command_line, message::complain, say, telling};
-
-/// Name of the program that contains all stages.
-const PROGRAM: &str = "planish";
+use crate::{
+    Failure, Status,
+    arguments::{self, PROGRAM, RUNNER, as_command},
+    command_line,
+    message::complain,
+    say, telling,
+};
 
 /// A stage (one step of a pipeline, such as `planish-dwell`) as a command of `planish`.
 #[derive(Clone, Copy)]
@@ -46,10 +49,6 @@ pub trait Subcommands: clap::Subcommand {
     /// Fails if the subcommand cannot run; the message is for the user.
     fn run(&self) -> Result<Status, Failure>;
 }
-
-/// Name of the stage that runs pipelines. Its subcommands are also commands of `planish`, such as `planish show
-/// raster`.
-const RUNNER: &str = "planish-run";
 
 /// Runs the stage that the name of this process or its first argument names, and returns its exit code. Without a stage
 /// it prints help, version or completions, or refuses the command.
@@ -135,12 +134,6 @@ fn definition(stages: &[Stage]) -> clap::Command {
         }
     }
     command
-}
-
-/// Returns the stage program `name` as a user types it: `planish dwell` for `planish-dwell`. The subcommands of
-/// `planish-run` follow `planish` itself.
-pub fn as_command(name: &str) -> String {
-    if name == RUNNER { PROGRAM.into() } else { name.replacen("planish-", "planish ", 1) }
 }
 
 /// Returns the command that runs the stage program `name`. It is the file of this name in the first of `folders` that

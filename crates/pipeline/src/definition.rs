@@ -522,7 +522,7 @@ mod tests {
         let cut = ["map", "tool", "limits", "one_pass", "tool_path", "form"];
         let names =
             |stage: &str| raster.settings_of(stage, &cut).into_iter().collect::<Vec<_>>().join(" ");
-        assert_eq!(names("path"), "overscan_mm pitch_mm scan step_mm turn variant");
+        assert_eq!(names("path"), "export overscan_mm pitch_mm scan step_mm turn variant");
         assert_eq!(names("there-and-back"), "passes");
         assert_eq!(Definition::built_in("shared"), None);
     }

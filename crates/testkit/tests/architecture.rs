@@ -244,7 +244,7 @@ fn flags(source: &str) -> Vec<&str> {
         for (at, _) in line.match_indices("--") {
             let (before, flag) = line.split_at(at);
             let begins = flag[2..].starts_with(|c: char| c.is_ascii_lowercase());
-            if begins && !before.ends_with('-') && !before.contains("planish-") {
+            if begins && !before.ends_with('-') && !before.contains("planish ") {
                 let end = flag.find(|c: char| !(c.is_ascii_alphanumeric() || c == '-'));
                 flags.push(&flag[..end.unwrap_or(flag.len())]);
             }
@@ -857,7 +857,7 @@ fn a_flag_in_a_library_is_caught() {
         ("let remedy = \"give a larger --count-mm\";", vec!["--count-mm"]),
         ("\"leave out --x and --y, or \\\n --unit\"", vec!["--x", "--y", "--unit"]),
         ("let remedy = \"give a larger `count_mm`\"; // --count-mm", vec![]),
-        ("\"run planish-simulate --frames again\"", vec![]),
+        ("\"run planish simulate --frames again\"", vec![]),
         ("let a = b - -c; // ----", vec![]),
         ("pure();\n#[cfg(test)]\nmod tests { fn f() { g(\"--out\"); } }", vec![]),
     ] {
