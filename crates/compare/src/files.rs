@@ -386,25 +386,28 @@ fn read_process(
     Ok((Some(ErrorBudget::new(&names[method], settings, outcome, arrays)), None))
 }
 
-/// Reads the bound of the residual in `run`/bound. If it is of another map than `surface`, it returns a remark instead;
-/// both are `None` if there is no bound. `role` is the prefix of its role as an input.
+/// Reads the bound of the residual in `run`/any-path/bound. If it is of another map than `surface`, or of another tool
+/// than that of the report, it returns a remark instead; both are `None` if there is no bound. `role` is the prefix of
+/// its role as an input.
 fn read_bound(
     inputs: &mut Inputs,
     role: &str,
     run: &Path,
     surface: &Recorded,
 ) -> Result<(Option<PathFreeBounds>, Option<String>), Failure> {
-    let dir = run.join("bound");
+    let dir = run.join("any-path").join("bound");
     if !dir.join(MANIFEST).exists() {
         return Ok((None, None));
     }
     let manifest = inputs.read_manifest(&format!("{role}/bound"), &dir, &kind::BOUND)?;
-    if record_of(&manifest).input("surface") != Some(&surface.digest) {
-        let remark =
-            "bound: it is of another map than that of the run; run planish-dwell bound again";
+    let record = record_of(&manifest);
+    let tif = inputs.digest(&format!("{role}/tif"));
+    let is_of_tool = tif.is_none() || record.input("tif") == tif;
+    if record.input("surface") != Some(&surface.digest) || !is_of_tool {
+        let remark = "bound: it is of another map or tool than that of the run; run planish dwell bound again";
         return Ok((None, Some(remark.into())));
     }
-    Ok((Some(manifest.read_outcome(&dir, "run planish-dwell bound again")?), None))
+    Ok((Some(manifest.read_outcome(&dir, "run planish dwell bound again")?), None))
 }
 
 /// Manifests of the artifacts of a run or of a method, for the report page.

@@ -159,6 +159,9 @@ impl Several {
     /// only one.
     pub fn cheapest_as_executed(&self) -> Option<String> {
         let least = self.least_of_others().filter(|least| least.cost_nm2 >= self.cost_nm2)?;
+        if !self.keeps_limits() {
+            return None;
+        }
         Some(format!(
             " As executed it costs least, too: {} nm^2, the next plan {} nm^2.",
             significant(self.cost_nm2, 3),

@@ -195,11 +195,13 @@ fn warning_of_projection(dir: &Path, surface: &Surface) -> Result<Option<String>
 }
 
 /// Settings of a method as the manifest (the record of the run) states them, with the distance from the edge if it is
-/// not 0.
+/// not 0. A path beyond the travel is refused or not, so it is made again with the flag.
 #[derive(Serialize)]
 struct StatedSettings<'a, S> {
     #[serde(skip_serializing_if = "Option::is_none")]
     inset_mm: Option<f64>,
+    #[serde(skip_serializing_if = "std::ops::Not::not")]
+    within_travel: bool,
     #[serde(flatten)]
     settings: &'a S,
 }
@@ -269,7 +271,8 @@ impl Region {
 
     /// Returns the settings of a method together with the distance of the path from the edge of the aperture.
     fn stated<'a, S: Serialize>(&self, settings: &'a S) -> StatedSettings<'a, S> {
-        StatedSettings { inset_mm: Some(self.inset_mm).filter(|mm| *mm > 0.0), settings }
+        let inset_mm = Some(self.inset_mm).filter(|mm| *mm > 0.0);
+        StatedSettings { inset_mm, within_travel: self.within_travel, settings }
     }
 
     fn begin(&self, task: &Task) -> Result<Begin, Failure> {

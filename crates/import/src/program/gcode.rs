@@ -128,7 +128,7 @@ impl<'a> Machine<'a> {
     /// what the module names.
     fn line(&mut self, number: usize, line: &str) -> Result<bool, Invalid> {
         let words = words(number, line)?;
-        self.has_times_in_comments |= line.starts_with(FEEDS_OF_PLANNER);
+        self.has_times_in_comments |= line.contains(FEEDS_OF_PLANNER);
         check_words(number, &words, &self.letters)?;
         let value = |letter: char| words.iter().find(|w| w.0 == letter).map(|w| w.1);
         let mut dwell = false;
@@ -187,11 +187,14 @@ impl<'a> Machine<'a> {
             }
             let axes = self.letters.iter().zip(&self.position);
             let target = axes.map(|(letter, here)| value(*letter).or(*here)).collect();
-            let stated = if self.has_times_in_comments && self.motion == 1 {
-                Some(stated_s(number, line)?)
-            } else {
-                None
-            };
+            let mut stated = None;
+            if self.has_times_in_comments && self.motion == 1 {
+                stated = Some(stated_s(number, line)?);
+            } else if self.inverse_time && stated_s(number, line).is_ok() {
+                let problem =
+                    "states its time in a comment, and no line before says that F is none";
+                return Err(wrong(number, problem));
+            }
             self.go(number, target, value('F'), stated)?;
         }
         Ok(end)
@@ -315,7 +318,7 @@ impl<'a> Machine<'a> {
     }
 }
 
-/// Beginning of the comment of a program whose feeds are no times, but those with which the planner of LinuxCNC takes the
+/// Comment of a program whose feeds are no times, but those with which the planner of LinuxCNC takes the
 /// times of the plan.
 const FEEDS_OF_PLANNER: &str = "(planner: the feeds make up for the planner of LinuxCNC";
 

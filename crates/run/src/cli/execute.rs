@@ -27,8 +27,8 @@ use super::{
     program::{plan_of, read_answer},
 };
 
-/// Artifacts that are removed if a scheduler or a dwell solver refuses; the comparison then leaves it out.
-const LEFT_OUT: [&str; 2] = ["dwell", "trajectory"];
+/// Artifacts that are removed if a scheduler, a dwell solver or the bound refuses; the comparison then leaves it out.
+const LEFT_OUT: [&str; 3] = ["dwell", "trajectory", "bound"];
 /// Name of the file for the messages of a command that may refuse, in the directory of its result.
 const MESSAGE: &str = "message.txt";
 
@@ -260,6 +260,10 @@ pub fn run<'a>(
         return Ok(Ended { code: 2, scope: walk.scope });
     }
     let (_lock, assumed) = claim.take(&as_typed())?;
+    if walk.scope.text("bound").is_ok_and(|bound| bound != "yes") {
+        // It is of the plan of an earlier run.
+        forget(&claim.out.join("any-path/bound"))?;
+    }
     for text in assumed.iter().chain(&assumed_machine) {
         programs.complain(&format!("warning: {text}"));
     }

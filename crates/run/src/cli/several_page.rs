@@ -42,6 +42,8 @@ pub struct PageOfRun<'a> {
     pub rack: Vec<RackEntry>,
     /// Choice of the tools; `None` if the user wanted none.
     pub choice: Option<ChoiceReport>,
+    /// Tools of the plan in the order in which they run.
+    pub order: Vec<&'a str>,
     /// Cost of the plan as executed, nm^2.
     pub cost_nm2: f64,
 }
@@ -66,6 +68,7 @@ impl PageSettings {
         let factors = user.take_or("price_factors", "");
         for text in factors.split(',').filter(|_| !factors.is_empty()) {
             match text.trim().parse::<f64>() {
+                Ok(1.0) => {} // the plan itself
                 Ok(factor) if factor > 0.0 && factor.is_finite() => price_factors.push(factor),
                 _ => {
                     return Err(Failure::new(format!(
@@ -138,6 +141,10 @@ impl PageSettings {
         if let Some(choice) = &run.choice {
             subsets.extend(that_may_cost_less(choice, run.cost_nm2));
         }
+        subsets.retain(|names| {
+            let is_run = |name: &String| run.order.contains(&name.as_str());
+            names.len() != run.order.len() || !names.iter().all(is_run)
+        });
         for names in subsets {
             let is_in = |tool: &&RackEntry| names.contains(&tool.name);
             let tools = run.rack.iter().filter(is_in).cloned().collect();
@@ -148,7 +155,7 @@ impl PageSettings {
 }
 
 /// Returns the tools of the subsets of a choice, but the chosen one, whose dwell times cost less than `cost_nm2`. A
-/// motion costs more than its dwell times, so no other solved subset can cost less than that as executed.
+/// motion mostly costs more than its dwell times, so the other subsets presumably cost more as executed.
 fn that_may_cost_less(choice: &ChoiceReport, cost_nm2: f64) -> Vec<Vec<String>> {
     let mut subsets = Vec::new();
     for (i, row) in choice.subsets.iter().enumerate() {

@@ -430,6 +430,7 @@ impl Course {
             motion: if *is_joint { "joint" } else { "refine" },
             machine: self.machine_copy(),
             choice,
+            order: times.iter().map(|(name, _)| *name).collect(),
             cost_nm2: rack.cost_nm2(rms_nm, &times),
             rack: rack.tools,
         };
