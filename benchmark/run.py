@@ -21,6 +21,7 @@ import csv
 import json
 import math
 import os
+import shutil
 import struct
 import subprocess
 import sys
@@ -59,12 +60,22 @@ COLUMNS = [
 ]
 
 
+class Failed(Exception):
+    """A program has ended without a result; the message is the reason why its problem is left out."""
+
+
 def start(program, *words, log):
     """Runs a program and returns its exit code and what it printed; messages go to the log."""
     with log.open("a") as messages:
         command = [PROGRAMS / program, *map(str, words)]
         done = subprocess.run(command, stdout=subprocess.PIPE, stderr=messages, text=True)
     return done.returncode, done.stdout
+
+
+def check_code(code, command, log):
+    """Refuses the exit code of a program without a result: an error, or a signal. A negative verdict is a result."""
+    if code not in (0, 1):
+        raise Failed(f"`{command}` ended with code {code}; see {log}")
 
 
 def array(file):
@@ -113,7 +124,8 @@ def part(name, problem, out, log):
     folder = measured_folder(problem)
     if folder is None:
         folder = out / "part"
-        start("planish-fixture", FOLDER / problem["recipe"], "--out", folder, "--force", log=log)
+        code, _ = start("planish-fixture", FOLDER / problem["recipe"], "--out", folder, "--force", log=log)
+        check_code(code, "planish fixture", log)
     elif not (folder / "surface").exists():
         return None
     settings = {"surface": folder / "surface", "tif": folder / "tif"}
@@ -154,17 +166,25 @@ def plan(name, settings, out, log):
 
 def run_pipeline(pipeline, settings, out, log):
     words = [f"{key}={value}" for key, value in settings.items()]
-    start("planish-run", "run", pipeline, *words, f"out={out}", log=log)
+    code, _ = start("planish-run", "run", pipeline, *words, f"out={out}", log=log)
+    check_code(code, f"planish run {pipeline}", log)
+
+
+def remove_plans(out):
+    """Removes the plans that a run left which did not come to its end: their motions would be scored, too."""
+    for folder in filter(Path.is_dir, list(out.iterdir())):
+        shutil.rmtree(folder)
 
 
 def planned(name, out, problem, log):
     """Runs all methods unless they have run: their motions, the recommended method and the seconds it took.
 
-    Returns None if the part is missing.
+    Returns None if the part is missing. Raises Failed if a pipeline has ended without a result.
     """
     file = out / "planned.json"
     if file.exists():
         return json.loads(file.read_text())
+    remove_plans(out)
     settings = part(name, problem, out, log)
     if settings is None:
         return None
@@ -177,16 +197,26 @@ def planned(name, out, problem, log):
     return plans
 
 
+def scores_of(out, name):
+    """Returns the scores of a problem; None if it has none, or those of an older format."""
+    file = out / "runs" / name / "scores.json"
+    scored = json.loads(file.read_text()) if file.exists() else None
+    return scored if isinstance(scored, dict) else None
+
+
 def run(name, out, problem_file=None):
     """Runs and scores a problem. Returns its scores, and a reason if it has none."""
+    scored = scores_of(out, name)
+    if scored:
+        return scored, None
     out = out / "runs" / name
-    scores = out / "scores.json"
-    if scores.exists():
-        return json.loads(scores.read_text()), None
     out.mkdir(parents=True, exist_ok=True)
     log = out / "log.txt"
     problem_file = problem_file or FOLDER / f"{name}.json"
-    plans = planned(name, out, json.loads(problem_file.read_text()), log)
+    try:
+        plans = planned(name, out, json.loads(problem_file.read_text()), log)
+    except Failed as failure:
+        return None, str(failure)
     if plans is None:
         return None, "its part is missing; benchmark/measured.py makes it"
     motions = plans.pop("motions")
@@ -201,7 +231,7 @@ def run(name, out, problem_file=None):
         row["method"] = method
         row["motion"] = row.pop("submission")
     scored = {**plans, "score_s": time.monotonic() - began, "rows": rows}
-    scores.write_text(json.dumps(scored, indent=2) + "\n")
+    (out / "scores.json").write_text(json.dumps(scored, indent=2) + "\n")
     return scored, None
 
 
@@ -421,7 +451,7 @@ def compare_with_finer(names, out):
             if all(max(ratio, 1 / ratio) > 1.01 for ratio in ratios):
                 pairs += 1
                 same += (ratios[0] > 1) == (ratios[1] > 1)
-        best = min(left, key=left.get), min(right, key=right.get)
+        best = [min(side, key=side.get, default="none") for side in (left, right)]
         print(f"| {name} | {same} of {pairs} | {best[0]} | {best[1]} |", flush=True)
 
 
@@ -494,7 +524,7 @@ def main():
     if arguments.errors:
         return print_errors(names, out)
     if arguments.scored:
-        names = [name for name in names if (out / "runs" / name / "scores.json").exists()]
+        names = [name for name in names if scores_of(out, name)]
     scored, failed = run_all(names, out, arguments.jobs)
     if scored:
         write_tables(scored, out, arguments.tables or out)

@@ -102,12 +102,12 @@ def stages_take_and_give_arrays():
     planish.save("as-files", height_nm=surface[0], x_mm=surface[1], y_mm=surface[2])
     same = planish.toolpath.raster(surface="as-files", tif="tool", pitch_mm=4, step_mm=4, out="path-of-files")
     assert np.array_equal(same["point_mm"], path["point_mm"])
-    refused(
-        lambda: planish.toolpath.raster(**mirror, pitch_mm=-4, step_mm=4), planish.PlanishError, "pitch_mm", ("--", "/planish-")
-    )
+    # Neither a flag, nor a temporary folder, nor a command line
+    unsaid = ("--", "/planish-", "planish ")
+    refused(lambda: planish.toolpath.raster(**mirror, pitch_mm=-4, step_mm=4), planish.PlanishError, "pitch_mm", unsaid)
     refused(
         lambda: planish.schedule.pvt(tool_path=path, dwell=dwell, machine={"axes": []}), planish.PlanishError, "machine",
-        ("--", "/planish-", "machine.json"),
+        (*unsaid, "machine.json"),
     )
     refused(lambda: planish.toolpath.raster(surface=surface[0], tif=tool, pitch_mm=4), TypeError, "as (map, x, y)")
     del path, dwell, motion

@@ -22,8 +22,10 @@ pub const OWN_MACHINE: &str = "machine.json";
 pub const TOOL_RECIPE: &str = "tool-recipe.json";
 /// Form that is subtracted from the map of the part, in the directory of the session.
 pub const TARGET: &str = "target.json";
-/// Directory of an uploaded tool that varies, in the directory of the session.
-pub const VARYING_TOOL: &str = "files/varying";
+/// Folder of the uploaded files of a tool that varies, in the directory of the session.
+pub const UPLOADED_VARYING: &str = "files/varying";
+/// Directory of a tool that varies, a copy of its uploaded files, in the directory of the session.
+pub const VARYING_TOOL: &str = "tool/varying";
 /// Map of few pixels of which an estimate is made, in the directory of the session.
 pub const BINNED_MAP: &str = "estimates/map";
 /// Setting of a pipeline that names the controller of a program.
@@ -334,7 +336,7 @@ impl PartChoice {
 }
 
 impl ToolSource {
-    /// Returns the directory of the tool, in that of the session: a tool that varies is used as it was uploaded.
+    /// Returns the directory of the tool, in that of the session.
     pub fn tif(&self) -> &'static str {
         if matches!(self, Self::Varying(_)) { VARYING_TOOL } else { "tool/tif" }
     }
@@ -346,7 +348,8 @@ impl ToolSource {
 }
 
 impl ToolChoice {
-    /// Returns the commands that make the tool in its directory ([`ToolSource::tif`]); none for a tool that varies.
+    /// Returns the commands that make the tool in its directory ([`ToolSource::tif`]); none for a tool that varies,
+    /// whose files are copied.
     ///
     /// # Errors
     /// Refuses a name of a file or fixture that cannot be one, an unknown formula, and a formula for a tool that is one.
@@ -750,7 +753,7 @@ mod tests {
         assert!(varying.commands("").unwrap().is_empty());
         let arrays = part(PartSource::Arrays);
         let (command, out) = plan(&[]).command(&arrays, &varying, &machine, &raster).unwrap();
-        assert_eq!([&command[4], &out], ["tif=files/varying", "runs/raster-arrays-varying"]);
+        assert_eq!([&command[4], &out], ["tif=tool/varying", "runs/raster-arrays-varying"]);
     }
 
     #[test]

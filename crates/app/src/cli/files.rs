@@ -122,17 +122,37 @@ impl Files {
         written.map_err(|e| on_disk(&e))
     }
 
-    /// Removes the files of a folder that are not among `names`: those of an earlier upload.
+    /// Copies the files `names` of the folder `from` into a new directory, which replaces `to` as a whole if `check`
+    /// accepts it.
     ///
     /// # Errors
-    /// Fails if there is no such folder, or if the disk refuses it.
-    pub fn keep_alone(&self, folder: &str, names: &[String]) -> Result<(), Refusal> {
-        for entry in fs::read_dir(self.inside(folder)?).map_err(|e| on_disk(&e))? {
-            let entry = entry.map_err(|e| on_disk(&e))?;
-            if !names.iter().any(|name| **name == *entry.file_name()) {
-                fs::remove_file(entry.path()).map_err(|e| on_disk(&e))?;
-            }
+    /// Fails if a file is not there, if `check` refuses the copies, if a folder leads elsewhere, or if the disk refuses
+    /// it.
+    pub fn replace_by_copies(
+        &self,
+        [from, to]: [&str; 2],
+        names: &[String],
+        check: impl FnOnce(&Path) -> Result<(), Refusal>,
+    ) -> Result<(), Refusal> {
+        let place = self.dir.join(to);
+        let [copies, before] = ["new", "old"].map(|end| place.with_extension(end));
+        fs::create_dir_all(&copies).map_err(|e| on_disk(&e))?;
+        self.inside(&format!("{to}.new"))?;
+        // Those of a choice that was refused go away.
+        remove_directory(&copies)?;
+        fs::create_dir(&copies).map_err(|e| on_disk(&e))?;
+        for name in names {
+            let file = self.inside(&format!("{from}/{name}"))?;
+            fs::copy(file, copies.join(name)).map_err(|e| on_disk(&e))?;
         }
+        check(&copies)?;
+        remove_directory(&before)?;
+        if place.exists() {
+            fs::rename(&place, &before).map_err(|e| on_disk(&e))?;
+        }
+        fs::rename(&copies, &place).map_err(|e| on_disk(&e))?;
+        // If it stays, the next replacement removes it.
+        let _ = remove_directory(&before);
         Ok(())
     }
 
@@ -198,6 +218,17 @@ fn script(session: &Session) -> String {
     text
 }
 
+/// Removes a directory with its files; does nothing if there is none.
+///
+/// # Errors
+/// Fails if the disk refuses it.
+fn remove_directory(dir: &Path) -> Result<(), Refusal> {
+    match fs::remove_dir_all(dir) {
+        Err(e) if e.kind() != io::ErrorKind::NotFound => Err(on_disk(&e)),
+        _ => Ok(()),
+    }
+}
+
 /// Returns the refusal for a failure of the disk.
 fn on_disk(problem: &dyn std::fmt::Display) -> Refusal {
     Refusal::new(500, problem.to_string())
@@ -224,6 +255,31 @@ mod tests {
         // An upload that ends early leaves the file before it.
         assert!(files.receive(Role::Part, "map.xyz", 9, &mut &b"no"[..]).is_err());
         assert_eq!(fs::read(files.inside("files/part/map.xyz").unwrap()).unwrap(), b"abc");
+    }
+
+    #[test]
+    fn copies_replace_a_directory_as_a_whole_or_not_at_all() {
+        let temporary = tempfile::tempdir().unwrap();
+        let files = Files::open(&temporary.path().join("session")).unwrap();
+        let upload = |name: &str, bytes: &[u8]| {
+            files.receive(Role::Varying, name, bytes.len() as u64, &mut &bytes[..]).unwrap();
+        };
+        let copied = |name: &str| fs::read(files.dir.join("tool/varying").join(name)).ok();
+        let places = ["files/varying", "tool/varying"];
+        let replace = |name: &str, check: fn(&Path) -> Result<(), Refusal>| {
+            files.replace_by_copies(places, &[name.to_string()], check)
+        };
+        upload("a", b"1");
+        replace("a", |_| Ok(())).unwrap();
+        upload("a", b"2");
+        upload("b", b"3");
+        assert_eq!(copied("a").unwrap(), b"1");
+        assert!(replace("b", |_| Err(Refusal::of_value("no tool"))).is_err());
+        assert!(replace("absent", |_| Ok(())).is_err());
+        assert_eq!([copied("a"), copied("b")], [Some(b"1".to_vec()), None]);
+        replace("b", |_| Ok(())).unwrap();
+        assert_eq!([copied("a"), copied("b")], [None, Some(b"3".to_vec())]);
+        assert_eq!(fs::read_dir(files.dir.join("tool")).unwrap().count(), 1);
     }
 
     #[test]

@@ -11,7 +11,7 @@ use planish_app::{
     after::{AfterChoice, MeasuredRun},
     choice::{
         MachineChoice, OWN_MACHINE, PartChoice, PartSource, PlanChoice, Reading, TARGET,
-        TOOL_RECIPE, ToolChoice, ToolSource, VARYING_TOOL,
+        TOOL_RECIPE, ToolChoice, ToolSource, UPLOADED_VARYING, VARYING_TOOL,
     },
     guard::{Guard, check_file_name},
     refusal::Refusal,
@@ -304,12 +304,11 @@ impl Server {
                 }
             }
             ToolSource::Varying(names) => {
-                for name in names {
-                    self.files.inside(&format!("{VARYING_TOOL}/{name}"))?;
-                }
-                self.files.keep_alone(VARYING_TOOL, names)?;
-                let read = Inputs::new().read_tool("tif", &self.files.inside(VARYING_TOOL)?);
-                read.map_err(|e| Refusal::of_value(e.to_string()))?;
+                // A later upload changes neither this tool nor a plan that runs.
+                self.files.replace_by_copies([UPLOADED_VARYING, VARYING_TOOL], names, |dir| {
+                    let read = Inputs::new().read_tool("tif", dir);
+                    read.map(drop).map_err(|e| Refusal::of_value(e.to_string()))
+                })?;
             }
             ToolSource::Formula { .. } => {}
         }

@@ -96,7 +96,7 @@ function propose() {
 function showOthers() {
   const { part, tool } = state.session, source = part?.choice.source, map = source === "arrays" ? "files/part" : "part/surface";
   const isOwn = !source?.fixture || tool?.choice.source.fixture !== source.fixture;
-  const tif = tool?.choice.source.varying ? "files/varying" : "tool/tif";
+  const tif = tool?.choice.source.varying ? "tool/varying" : "tool/tif";
   const mirror = isOwn ? `surface=${map} tif=${tif}` : `fixture=${source.fixture}`;
   const machine = state.session.machine?.fixture ? `${state.folder}fixtures/machines/${state.session.machine.fixture}.json` : "machine.json";
   const lines = Object.entries(OTHERS).map(([name, what]) => {
