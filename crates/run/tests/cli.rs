@@ -592,7 +592,7 @@ fn a_wrong_setting_is_named_with_the_remedy_and_nothing_runs() {
         (&["run", "rastr"][..], "no pipeline 'rastr'; there are: bspline compare-dwell line maze"),
         (
             &["run", "raster", "pitch=1"],
-            "raster has no setting 'pitch'; there are: date error_budget",
+            "raster has no setting 'pitch'; there are: bound date error_budget",
         ),
         (&["run", "raster", "--dry-run"], "'--dry-run' is not a setting; write NAME=VALUE"),
         (&["run", "raster", "pitch_mm=-1"], "pitch_mm is '-1'; give a number above 0"),
