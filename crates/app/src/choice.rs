@@ -31,7 +31,9 @@ pub const BINNED_MAP: &str = "estimates/map";
 /// Setting of a pipeline that names the controller of a program.
 const EXPORT: &str = "export";
 /// Settings that an estimate leaves out: programs and films, which it does not make, and the step, which is its own.
-const NOT_ESTIMATED: [&str; 5] = [EXPORT, "program_of", "frames", "noise_nm", "step_mm"];
+const NOT_ESTIMATED: [&str; 5] = [EXPORT, "program_of", "frames", "noise_nm", STEP];
+/// Setting of the distance of the dwell points.
+const STEP: &str = "step_mm";
 /// Setting of the name of the part.
 const PART_NAME: &str = "part_name";
 /// Settings that are texts for the heads of the report and of the program. They name no file.
@@ -534,7 +536,7 @@ impl PlanChoice {
         command.push(format!("tif={}", of.tool.tif()));
         command.push(format!("machine={}", machine.path(&description.folder)?));
         command.push("prepare=--level none".into());
-        command.push(format!("step_mm={step_mm}"));
+        command.push(format!("{STEP}={step_mm}"));
         let mut left_out = [&NOT_ESTIMATED[..], &STATED].concat();
         if coarser > 1.0 || self.number("min_dwell_s", description).is_some() {
             left_out.extend(["min_dwell_s", "min_dwell_s_per_mm"]);
@@ -555,9 +557,9 @@ impl PlanChoice {
     /// Returns the least dwell time per length, s/mm; `of_machine` if no setting states one.
     fn floor_s_per_mm(&self, description: &PipelineDescription, of_machine: f64) -> f64 {
         let [per_mm, per_point, step_mm, pitch_mm] =
-            ["min_dwell_s_per_mm", "min_dwell_s", "step_mm", "pitch_mm"]
+            ["min_dwell_s_per_mm", "min_dwell_s", STEP, "pitch_mm"]
                 .map(|name| self.number(name, description));
-        let given_step = self.settings.get("step_mm").is_some_and(|step| !step.is_empty());
+        let given_step = self.settings.get(STEP).is_some_and(|step| !step.is_empty());
         // The default of the step is a number of its own along straight lines, else the pitch.
         let is_step = given_step || ["raster", "multi-pitch"].contains(&self.pipeline.as_str());
         let step_mm = if is_step { step_mm } else { pitch_mm };

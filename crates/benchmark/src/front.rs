@@ -9,9 +9,11 @@
 //!
 //! Read along T, (1) encloses the least time for a residual.
 
-use planish_dwell::path_free_bound::{BoundProblem, PathFreeBound};
-
-use crate::score::{Executed, ScoreError, ScoreTask};
+use planish_dwell::{
+    DwellError,
+    path_free_bound::{BoundProblem, PathFreeBound},
+};
+use planish_types::{Surface, Tif};
 
 /// Width of (1), relative to its lower end, that is narrow enough at a motion. Larger: smaller bounds. Smaller: time.
 const NARROW: f64 = 0.01;
@@ -30,13 +32,14 @@ pub struct Front {
 }
 
 impl Front {
-    /// Finds bounds at the times at which (1) is widest for these motions.
-    pub fn new(task: &ScoreTask<'_>, motions: &[&Executed]) -> Result<Self, ScoreError> {
-        let mut front = Self { desired_rms_nm: task.desired.statistics().rms, bounds: Vec::new() };
+    /// Finds bounds at the times at which (1) is widest for these motions: the time, s, and the residual RMS, nm, of
+    /// each.
+    pub fn new(desired: &Surface, tif: &Tif, motions: &[[f64; 2]]) -> Result<Self, DwellError> {
+        let mut front = Self { desired_rms_nm: desired.statistics().rms, bounds: Vec::new() };
         if motions.is_empty() {
             return Ok(front);
         }
-        let problem = BoundProblem::new(task.desired, task.tif)?;
+        let problem = BoundProblem::new(desired, tif)?;
         for _ in 0..MOST_BOUNDS {
             let Some(time_s) = front.widest(motions) else { break };
             let next = front.bounds.partition_point(|bound| bound.time_s < time_s);
@@ -87,11 +90,9 @@ impl Front {
     }
 
     /// Returns the time, s, at which (1) is widest for a motion; `None` if it is narrow for all of them.
-    fn widest(&self, motions: &[&Executed]) -> Option<f64> {
+    fn widest(&self, motions: &[[f64; 2]]) -> Option<f64> {
         let mut widest = (NARROW, None);
-        for motion in motions {
-            let time_s = motion.time_s;
-            let rms_nm = motion.residual.statistics().rms;
+        for &[time_s, rms_nm] in motions {
             let ends = [self.bound_rms_nm(time_s), self.reached_rms_nm(time_s)];
             let times = [self.bound_time_s(rms_nm), self.reached_time_s(rms_nm, time_s)];
             for (time_s, [low, high]) in [(time_s, ends), (0.5 * (times[0] + times[1]), times)] {

@@ -77,15 +77,19 @@ pub fn scores(
     motions: &[Trajectory],
 ) -> Result<Vec<Result<Score, ScoreError>>, ScoreError> {
     let executed: Vec<_> = motions.iter().map(|motion| executed(task, motion)).collect();
-    let front = Front::new(task, &executed.iter().flatten().collect::<Vec<_>>())?;
+    let mut reached = Vec::new();
+    for motion in executed.iter().flatten() {
+        reached.push([motion.time_s, motion.residual.statistics().rms]);
+    }
+    let front = Front::new(task.desired, task.tif, &reached)?;
     Ok(executed.into_iter().map(|one| one.map(|motion| motion.score(&front))).collect())
 }
 
 /// Execution of a motion: its time, and what it leaves.
 #[derive(Debug)]
-pub struct Executed {
-    pub time_s: f64,
-    pub residual: Surface,
+struct Executed {
+    time_s: f64,
+    residual: Surface,
     with_errors: Option<Quantiles>,
 }
 
