@@ -2,6 +2,7 @@
 
     just resume-table                               three fixtures, 30 times each
     just resume-table coupon times=3 tool_on=0.1,1  one fixture, fewer times, some of the rows
+    just resume-table coupon plan_joint=yes         the rest also by joint plans, as `planish resume` does by default
 
 The log of the executed motion has noise of 0.1 um at 200 Hz. Every row is one time for which the tool stayed on.
 """
@@ -47,7 +48,7 @@ def write_log(trajectory, abort_s, noise, path):
     np.savetxt(path, rows, delimiter=",", header="time_s,x_mm,y_mm,tool_on", comments="", fmt="%.9g")
 
 
-def row(run, fixture, times, tool_on_s):
+def row(run, fixture, times, tool_on_s, plan_joint):
     """Plans the rest after each of the times; returns the ratios to the undisturbed residual, and the named marks."""
     trajectory = run / "methods" / PLAN / "trajectory"
     rest = OUT / fixture / f"rest-{tool_on_s:g}"
@@ -57,7 +58,7 @@ def row(run, fixture, times, tool_on_s):
         write_log(trajectory, abort_s, np.random.default_rng(k), log)
         shutil.rmtree(rest, ignore_errors=True)
         planish("resume", f"run={run}", f"plan={PLAN}", f"log={log}", "trace=--tool-on=tool_on",
-                f"tool_on_s={tool_on_s}", "plan_joint=no", "new_path=no", f"out={rest}")
+                f"tool_on_s={tool_on_s}", f"plan_joint={plan_joint}", "new_path=no", f"out={rest}")
         outcome = json.loads((rest / "resume.json").read_text())
         best = next(way for way in outcome["ways"] if way["name"] == outcome["recommended"])
         ratio = best["rms_nm"] / outcome["undisturbed_rms_nm"]
@@ -76,6 +77,7 @@ def main():
     count = next((int(word[6:]) for word in words if word.startswith("times=")), 30)
     chosen = next((word[8:] for word in words if word.startswith("tool_on=")), None)
     seconds = [float(s) for s in chosen.split(",")] if chosen else TOOL_ON_S
+    plan_joint = "yes" if "plan_joint=yes" in words else "no"
     fixtures = [word for word in words if "=" not in word] or FIXTURES
     print("| fixture | tool on s | mended | largest ratio of these | named marks, nm |")
     print("|---|---|---|---|---|")
@@ -86,7 +88,7 @@ def main():
         draw = random.Random(67)
         times = [total_s * draw.uniform(0.02, 0.98) for _ in range(count)]
         for tool_on_s in seconds:
-            ratios, marks = row(run, fixture, times, tool_on_s)
+            ratios, marks = row(run, fixture, times, tool_on_s, plan_joint)
             mended = [ratio for ratio in ratios if ratio <= 1.05]
             named = f"{min(marks):.2f} to {max(marks):.2f}" if marks else "none"
             largest = f"{max(mended):.4f}" if mended else "-"
