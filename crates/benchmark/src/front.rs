@@ -16,13 +16,13 @@ use planish_dwell::{
 use planish_types::{Surface, Tif};
 
 /// Width of (1), relative to its lower end, that is narrow enough at a motion. Larger: smaller bounds. Smaller: time.
-const NARROW: f64 = 0.01;
+const NARROW: f64 = 0.02;
 
 /// Ratio of two times from which each may have a bound of its own. Larger: smaller bounds. Smaller: time.
 const TIMES_APART: f64 = 1.02;
 
 /// Largest number of bounds. Larger: no change for few motions. Smaller: smaller bounds for some of many motions.
-const MOST_BOUNDS: usize = 12;
+const MOST_BOUNDS: usize = 5;
 
 /// Bounds at some times.
 pub struct Front {

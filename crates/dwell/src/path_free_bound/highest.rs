@@ -14,15 +14,16 @@
 //! ```
 //!
 //! While f stays in an interval in which the same j are within the edges of R, q is a cubic in f along each axis. The
-//! coefficients of that cubic in the Bernstein basis of the interval are (1) with the blossoms of w_a in place of w_a,
-//! and the cubic is nowhere above the largest of them (convex hull). So correlations of e with few kernels bound q at
-//! all places. f = 0, where one more sample is within the edges, is an interval of its own. Nothing is approximated: R
-//! may jump to zero at its edge.
+//! coefficients of that cubic in the Bernstein basis of the interval are (1) with the blossoms of w_a in place of w_a:
+//! 16 correlations of e with kernels give those of all cells of the plane. A cubic is nowhere above the largest of its
+//! coefficients (convex hull), and reaches those at the corners. So a cell with a coefficient above the largest corner
+//! of all cells is divided into four, again and again (de Casteljau), until none of its parts has one. f = 0, where one
+//! more sample is within the edges, is an interval of its own. Nothing is approximated: R may jump to zero at its edge.
 //!
 //! Source: blossoms and convex hulls, L. Ramshaw, Comput. Aided Geom. Des. 6 (1989) 323.
 
 use ndarray::{Array2, s};
-use planish_numerics::fft::convolution::Convolution;
+use planish_numerics::{fft::convolution::Convolution, parallel};
 use planish_types::{Axis, Grid, Tif};
 
 use crate::model::columns::longest_part_mm;
@@ -40,64 +41,92 @@ pub struct Highest {
 const KEYS: [[f64; 4]; 4] =
     [[0.0, -0.5, 1.0, -0.5], [1.0, 0.0, -2.5, 1.5], [0.0, 0.5, 2.0, -1.5], [0.0, 0.0, -0.5, 0.5]];
 
-/// Largest length of an interval of f, relative to the length of the flanks of the tool. Larger: a larger bound of q, by
-/// about the square of this number. Smaller: more correlations.
-const LONGEST_INTERVAL: f64 = 1.0 / 36.0;
+/// Excess of the upper bound over a value that q reaches, relative to it, that is small enough. Larger: a larger bound.
+/// Smaller: more divisions.
+const SMALL_EXCESS: f64 = 1e-5;
 
 /// Rounding of a correlation by FFT, relative to the product of the Euclidean norms of map and kernel. It is at most 20
 /// log2(N) unit roundoffs for N = 1e6 elements.
 const ROUNDING: f64 = 1e-13;
 
-/// Weights of the samples along one axis in one kernel.
-struct Weights {
+/// Interval of f along an axis.
+struct Interval {
     /// Number of samples j from 0 on that are within the edges.
     cells: usize,
-    /// Weights of the nodes j .. j + 3 of the samples with ghost nodes.
-    weights: [f64; 4],
-    /// Middle of the interval of f.
-    middle: f64,
+    ends: [f64; 2],
+}
+
+/// q on a rectangle of f, by its coefficients [along y][along x] in the Bernstein basis.
+#[derive(Clone, Copy)]
+struct Bicubic {
+    coefficients: [[f64; 4]; 4],
+    /// Ends of f along [x, y].
+    ends: [[f64; 2]; 2],
 }
 
 /// Returns the upper bound of q of (1) of the module for a residual e (ny, nx) that is 0 on the invalid pixels of a map
 /// on `grid`. The TIF has a whole number of samples for each pixel.
 pub fn highest(residual: &Array2<f64>, tif: &Tif, grid: &Grid) -> Highest {
     let axes = [(0, &grid.x, &tif.grid().x), (1, &grid.y, &tif.grid().y)];
-    let flanks_mm = flanks_mm(tif);
     let parts = axes.map(|(_, map, samples)| (map.step_mm() / samples.step_mm()).round() as usize);
     let [columns, rows] = axes.map(|(axis, _, samples)| {
         let beyond = (tif.edge_mm()[axis] - samples.end_mm()) / samples.step_mm();
-        let intervals = samples.step_mm() / (LONGEST_INTERVAL * flanks_mm[axis]);
-        weights_along(samples.len(), beyond, intervals.ceil().max(1.0) as usize)
+        intervals(samples.len(), beyond)
     });
     let fine = upsampled(residual, parts);
     let norm = fine.iter().map(|e| e * e).sum::<f64>().sqrt();
+    let size = tif.with_ghosts().iter().map(|r| r * r).sum::<f64>().sqrt();
+    let rounding = ROUNDING * size * norm;
     let mut highest = Highest { value: 0.0, place_mm: None };
     for y in &rows {
         for x in &columns {
-            let kernel = kernel(tif.with_ghosts(), y, x);
-            let size = kernel.iter().map(|r| r * r).sum::<f64>().sqrt();
-            let (ky, kx) = kernel.dim();
-            let shape = (fine.nrows() + ky - 1, fine.ncols() + kx - 1);
-            let q = Convolution::<f64>::new(kernel.view(), shape).adjoint(fine.view());
-            for ((r, c), value) in q.indexed_iter() {
-                let value = value + ROUNDING * size * norm;
+            let maps = coefficients(&fine, tif.with_ghosts(), y, x);
+            let mut raise = |cell: &Bicubic, (r, c): (usize, usize)| {
+                let (value, [f, g]) = cell.highest_corner();
                 if value > highest.value {
-                    let place_mm = [
-                        place_mm(&grid.x, &tif.grid().x, x, c),
-                        place_mm(&grid.y, &tif.grid().y, y, r),
-                    ];
-                    highest = Highest { value, place_mm: Some(place_mm) };
+                    let along_x = place_mm(&grid.x, &tif.grid().x, x.cells, c, f);
+                    let along_y = place_mm(&grid.y, &tif.grid().y, y.cells, r, g);
+                    highest = Highest { value, place_mm: Some([along_x, along_y]) };
+                }
+                highest.value + (SMALL_EXCESS * highest.value).max(rounding)
+            };
+            let cell = |index| Bicubic::new(&maps, index, [x.ends, y.ends]);
+            for (index, _) in maps[0].indexed_iter() {
+                raise(&cell(index), index);
+            }
+            for (index, _) in maps[0].indexed_iter() {
+                let mut above = vec![cell(index)];
+                while let Some(cell) = above.pop() {
+                    if cell.largest() > raise(&cell, index) {
+                        above.extend(cell.quarters());
+                    }
                 }
             }
         }
     }
-    highest
+    let Highest { value, place_mm } = highest;
+    Highest { value: value + (SMALL_EXCESS * value).max(rounding) + rounding, place_mm }
 }
 
-/// Returns the coordinate of the tool, mm, in the middle of an interval of f, at an index of the correlation with the
-/// kernel of these weights. `map` and `samples` are the axes of the map and of the TIF.
-fn place_mm(map: &Axis, samples: &Axis, weights: &Weights, index: usize) -> f64 {
-    let steps = (weights.cells - 1) as f64 - index as f64 + weights.middle;
+/// Returns the maps of the 16 coefficients of q in these intervals, those along x first.
+fn coefficients(
+    fine: &Array2<f64>,
+    nodes: &Array2<f64>,
+    y: &Interval,
+    x: &Interval,
+) -> Vec<Array2<f64>> {
+    parallel::map(16, &|k| {
+        let kernel = kernel(nodes, (y, k / 4), (x, k % 4));
+        let (ky, kx) = kernel.dim();
+        let shape = (fine.nrows() + ky - 1, fine.ncols() + kx - 1);
+        Convolution::<f64>::new(kernel.view(), shape).adjoint(fine.view())
+    })
+}
+
+/// Returns the coordinate of the tool, mm, at f in an interval with these `cells`, at an index of its maps. `map` and
+/// `samples` are the axes of the map and of the TIF.
+fn place_mm(map: &Axis, samples: &Axis, cells: usize, index: usize, f: f64) -> f64 {
+    let steps = (cells - 1) as f64 - index as f64 + f;
     map.start_mm() - samples.start_mm() - steps * samples.step_mm()
 }
 
@@ -114,24 +143,14 @@ pub fn upsampled(map: &Array2<f64>, parts: [usize; 2]) -> Array2<f64> {
     fine
 }
 
-/// Returns the weights of all kernels along an axis with `samples` samples whose edge is `beyond` steps after the last
-/// one. Every interval of f is divided into `intervals` parts.
-fn weights_along(samples: usize, beyond: f64, intervals: usize) -> Vec<Weights> {
-    let mut all = vec![Weights { cells: samples, weights: [0.0, 1.0, 0.0, 0.0], middle: 0.0 }];
-    let whole = if beyond > 0.0 {
-        vec![(0.0, beyond, samples), (beyond, 1.0, samples - 1)]
+/// Returns the intervals of f along an axis with `samples` samples whose edge is `beyond` steps after the last one.
+fn intervals(samples: usize, beyond: f64) -> Vec<Interval> {
+    let mut all = vec![Interval { cells: samples, ends: [0.0; 2] }];
+    if beyond > 0.0 {
+        all.push(Interval { cells: samples, ends: [0.0, beyond] });
+        all.push(Interval { cells: samples - 1, ends: [beyond, 1.0] });
     } else {
-        vec![(0.0, 1.0, samples - 1)]
-    };
-    for (low, high, cells) in whole {
-        let step = (high - low) / intervals as f64;
-        for i in 0..intervals {
-            let ends = [low + i as f64 * step, low + (i + 1) as f64 * step];
-            for b in 0..4 {
-                let weights = KEYS.map(|powers| blossom(powers, ends, b));
-                all.push(Weights { cells, weights, middle: 0.5 * (ends[0] + ends[1]) });
-            }
-        }
+        all.push(Interval { cells: samples - 1, ends: [0.0, 1.0] });
     }
     all
 }
@@ -146,15 +165,93 @@ fn blossom(powers: [f64; 4], ends: [f64; 2], b: usize) -> f64 {
         + powers[3] * u * v * w
 }
 
-/// Returns the kernel (cells along y, cells along x) of these weights, nm/s, from the samples with ghost nodes.
-fn kernel(nodes: &Array2<f64>, y: &Weights, x: &Weights) -> Array2<f64> {
+/// Returns the numbers a of the nodes j + a with a weight in coefficient b, and these weights.
+fn weights(ends: [f64; 2], b: usize) -> impl Iterator<Item = (usize, f64)> {
+    let weights = KEYS.map(|powers| blossom(powers, ends, b));
+    weights.into_iter().enumerate().filter(|(_, weight)| *weight != 0.0)
+}
+
+/// Returns the kernel (cells along y, cells along x), nm/s, of a coefficient along y and one along x, from the samples
+/// with ghost nodes.
+fn kernel(
+    nodes: &Array2<f64>,
+    (y, by): (&Interval, usize),
+    (x, bx): (&Interval, usize),
+) -> Array2<f64> {
     let mut rows = Array2::zeros((y.cells, nodes.ncols()));
-    for (b, w) in y.weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
-        rows.scaled_add(*w, &nodes.slice(s![b..b + y.cells, ..]));
+    for (a, weight) in weights(y.ends, by) {
+        rows.scaled_add(weight, &nodes.slice(s![a..a + y.cells, ..]));
     }
     let mut kernel = Array2::zeros((y.cells, x.cells));
-    for (a, w) in x.weights.iter().enumerate().filter(|(_, w)| **w != 0.0) {
-        kernel.scaled_add(*w, &rows.slice(s![.., a..a + x.cells]));
+    for (a, weight) in weights(x.ends, bx) {
+        kernel.scaled_add(weight, &rows.slice(s![.., a..a + x.cells]));
     }
     kernel
+}
+
+impl Bicubic {
+    /// Makes the cell at an index of the maps of its coefficients.
+    fn new(maps: &[Array2<f64>], index: (usize, usize), ends: [[f64; 2]; 2]) -> Self {
+        let row = |b: usize| [0, 1, 2, 3].map(|k| maps[4 * b + k][index]);
+        Self { coefficients: [0, 1, 2, 3].map(row), ends }
+    }
+
+    /// Returns the largest value at a corner, and f [along x, along y] there.
+    fn highest_corner(&self) -> (f64, [f64; 2]) {
+        let [x, y] = self.ends;
+        let [first, .., last] = &self.coefficients;
+        let mut highest = (first[0], [x[0], y[0]]);
+        for (value, f) in
+            [(first[3], [x[1], y[0]]), (last[0], [x[0], y[1]]), (last[3], [x[1], y[1]])]
+        {
+            if value > highest.0 {
+                highest = (value, f);
+            }
+        }
+        highest
+    }
+
+    /// Returns the largest coefficient.
+    fn largest(&self) -> f64 {
+        self.coefficients.iter().flatten().copied().fold(f64::NEG_INFINITY, f64::max)
+    }
+
+    /// Returns the four parts between the middles of the ends.
+    fn quarters(&self) -> [Self; 4] {
+        let rows = self.coefficients.map(halves);
+        let [left, right] = [0, 1].map(|half| rows.map(|row| row[half]));
+        let [[lower_left, upper_left], [lower_right, upper_right]] =
+            [left, right].map(|half| halves_along_y(&half));
+        let [x, y] = self.ends.map(|[low, high]| {
+            let middle = 0.5 * (low + high);
+            [[low, middle], [middle, high]]
+        });
+        [
+            Self { coefficients: lower_left, ends: [x[0], y[0]] },
+            Self { coefficients: lower_right, ends: [x[1], y[0]] },
+            Self { coefficients: upper_left, ends: [x[0], y[1]] },
+            Self { coefficients: upper_right, ends: [x[1], y[1]] },
+        ]
+    }
+}
+
+/// Returns the coefficients of both halves of a cubic.
+fn halves(b: [f64; 4]) -> [[f64; 4]; 2] {
+    let once = [0, 1, 2].map(|k| 0.5 * (b[k] + b[k + 1]));
+    let twice = [0, 1].map(|k| 0.5 * (once[k] + once[k + 1]));
+    let middle = 0.5 * (twice[0] + twice[1]);
+    [[b[0], once[0], twice[0], middle], [middle, twice[1], once[2], b[3]]]
+}
+
+/// Returns the coefficients of the lower and the upper half of a bicubic.
+fn halves_along_y(coefficients: &[[f64; 4]; 4]) -> [[[f64; 4]; 4]; 2] {
+    let mut both = [[[0.0; 4]; 4]; 2];
+    for column in 0..4 {
+        let [lower, upper] = halves(coefficients.map(|row| row[column]));
+        for row in 0..4 {
+            both[0][row][column] = lower[row];
+            both[1][row][column] = upper[row];
+        }
+    }
+    both
 }

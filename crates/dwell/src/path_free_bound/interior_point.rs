@@ -94,7 +94,12 @@ pub fn solve(problem: InteriorProblem<'_>, budget: Budget) -> Solution {
         let corrector = newton.step(&left, point.products(centre, Some(&predictor)));
         let [primal, dual] = point.longest(&corrector);
         let way = (PART_OF_WAY * primal.min(dual)).min(1.0);
-        point = point.after(&corrector, [way; 2]);
+        let next = point.after(&corrector, [way; 2]);
+        // Rounding can make the equations nearly singular: the point before is a valid one.
+        if next.a.iter().any(|a| !a.is_finite()) {
+            break;
+        }
+        point = next;
     }
     Solution { coefficients: point.a, dwell_s: point.dwell_s }
 }

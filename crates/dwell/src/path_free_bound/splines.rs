@@ -16,7 +16,7 @@ use planish_numerics::{
     parallel,
 };
 
-use super::tool::{LatticeTool, PartPixels, Place, Window};
+use super::tool::{LatticeTool, PartPixels, Place, Window, product, squares};
 
 /// Largest work of a step (number of splines times the square of the band of their matrix). Above it, the splines are
 /// farther apart than the flanks ask for. Larger: more time for large parts. Smaller: a smaller bound there.
@@ -32,6 +32,7 @@ const DAMPING: f64 = 1e-9;
 
 /// The splines of (1) of the module. Spline (i, j) has the number `i * across + j`, where j counts along the shorter
 /// side of the map.
+#[derive(Clone)]
 pub struct Splines {
     /// The splines along [x, y].
     along: [Vec<Piece>; 2],
@@ -39,6 +40,8 @@ pub struct Splines {
     is_y_across: bool,
     /// 1 over the norm of every spline; 0 if it is not used.
     scale: Vec<f64>,
+    /// Maps beside the splines (ny, nx), of norm 1 and 0 on the invalid pixels.
+    others: Vec<Array2<f64>>,
     /// G, damped.
     pub gram: Skyline,
     /// u.
@@ -59,6 +62,7 @@ pub struct Constraints {
 }
 
 /// Values on neighbouring pixels of one axis.
+#[derive(Clone)]
 struct Piece {
     /// First pixel.
     first: usize,
@@ -87,6 +91,9 @@ impl Splines {
         let reach = [tool.samples().ncols(), tool.samples().nrows()];
         let reach = [0, 1].map(|axis| reach[axis] as f64 / tool.parts[axis] as f64);
         let mut pitch = tool.flanks.map(|flank| (pitch * flank).max(1.0));
+        if work([nx, ny], reach, [1.0; 2]) <= MOST_WORK {
+            pitch = [1.0; 2];
+        }
         while work([nx, ny], reach, pitch) > MOST_WORK {
             pitch = pitch.map(|pitch| 1.05 * pitch);
         }
@@ -98,6 +105,7 @@ impl Splines {
             scale: vec![1.0; along[0].len() * along[1].len()],
             along,
             is_y_across,
+            others: Vec::new(),
             gram: Skyline::zeros(Vec::new()),
             sums: Vec::new(),
             along_desired: Vec::new(),
@@ -114,6 +122,28 @@ impl Splines {
             .collect();
         splines.gram = splines.products(&maps, spans);
         splines
+    }
+
+    /// Returns these splines and another map (ny, nx) that is 0 on the invalid pixels.
+    pub fn with(&self, mut map: Array2<f64>, part: &PartPixels) -> Self {
+        map /= squares(&map).sqrt();
+        let n = self.sums.len();
+        let mut row: Vec<f64> = (0..self.scale.len())
+            .map(|k| {
+                let spline = self.on_map(k, part);
+                self.scale[k] * (&spline.values * &spline.under(&map)).sum()
+            })
+            .collect();
+        row.extend(self.others.iter().map(|other| product(other, &map)));
+        row.push(1.0 + DAMPING);
+        let mut more = self.clone();
+        more.sums.push(map.sum());
+        more.along_desired.push(product(&map, &part.desired_nm));
+        let first = (0..n).map(|k| self.gram.first(k)).chain([0]);
+        more.gram = Skyline::zeros(first.collect());
+        more.gram.fill(|k, to| to.copy_from_slice(if k < n { self.gram.row(k) } else { &row }));
+        more.others.push(map);
+        more
     }
 
     /// Returns G, with 1 on the diagonal for splines that are not used.
@@ -162,10 +192,14 @@ impl Splines {
     /// Returns `S a` on the valid pixels (ny, nx).
     pub fn map(&self, a: &[f64], part: &PartPixels) -> Array2<f64> {
         let mut map = Array2::zeros(part.desired_nm.dim());
-        for (k, a) in a.iter().enumerate() {
+        let (splines, others) = a.split_at(self.scale.len());
+        for (k, a) in splines.iter().enumerate() {
             let Patch { origin: (r, c), values } = self.on_map(k, part);
             let (ny, nx) = values.dim();
             map.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(a * self.scale[k], &values);
+        }
+        for (other, a) in self.others.iter().zip(others) {
+            map.scaled_add(*a, other);
         }
         map
     }
@@ -174,7 +208,7 @@ impl Splines {
     pub fn unconstrained(&self) -> Constraints {
         Constraints {
             columns: Vec::new(),
-            rows: vec![Vec::new(); self.scale.len()],
+            rows: vec![Vec::new(); self.sums.len()],
             desired: Array1::zeros(0),
         }
     }
@@ -200,13 +234,22 @@ impl Splines {
         } else {
             (elements.axis_iter(Axis(1)), (y.start, x.start))
         };
-        runs.enumerate()
+        let mut runs: Vec<Run> = (runs.enumerate())
             .map(|(i, elements)| {
                 let first = (first.0 + i) * self.across() + first.1;
                 let scaled = elements.iter().zip(&self.scale[first..]).map(|(v, scale)| v * scale);
                 Run { first, values: scaled.collect() }
             })
-            .collect()
+            .collect();
+        if !self.others.is_empty() {
+            let under =
+                |map: &Array2<f64>| (&rates * &map.slice(s![top..top + ny, left..left + nx])).sum();
+            runs.push(Run {
+                first: self.scale.len(),
+                values: self.others.iter().map(under).collect(),
+            });
+        }
+        runs
     }
 }
 
@@ -329,10 +372,14 @@ fn work(pixels: [usize; 2], reach: [f64; 2], pitch: [f64; 2]) -> f64 {
     x.0 * y.0 * band * band
 }
 
-/// Returns the cubic B-splines at distances of `pitch` pixels on `n` pixels.
+/// Returns the cubic B-splines at distances of `pitch` pixels on `n` pixels; the pixels themselves if there are not
+/// more of them than of splines, which would depend on each other.
 fn along(n: usize, pitch: f64) -> Vec<Piece> {
     let last = (n - 1) as f64;
     let intervals = (last / pitch).ceil();
+    if intervals as usize + 3 >= n {
+        return (0..n).map(|first| Piece { first, values: vec![1.0] }).collect();
+    }
     let mut splines = Vec::new();
     for k in 0..intervals as usize + 3 {
         let centre = (k as f64 - 1.0) * pitch - 0.5 * (intervals * pitch - last);
