@@ -56,7 +56,7 @@ struct Interval {
     ends: [f64; 2],
 }
 
-/// q on a rectangle of f, by its coefficients [along y][along x] in the Bernstein basis.
+/// q on a rectangle of f, by its coefficients (along y, along x) in the Bernstein basis.
 #[derive(Clone, Copy)]
 struct Bicubic {
     coefficients: [[f64; 4]; 4],
