@@ -76,7 +76,8 @@ pub fn highest(residual: &Array2<f64>, tif: &Tif, grid: &Grid) -> Highest {
     let fine = upsampled(residual, parts);
     let norm = fine.iter().map(|e| e * e).sum::<f64>().sqrt();
     let size = tif.with_ghosts().iter().map(|r| r * r).sum::<f64>().sqrt();
-    let rounding = ROUNDING * size * norm;
+    // No blossom on [0, 1] has weights of more than 4/3 in all: the norm of a kernel is at most (4/3)^2 of that.
+    let rounding = ROUNDING * 16.0 / 9.0 * size * norm;
     let mut highest = Highest { value: 0.0, place_mm: None };
     for y in &rows {
         for x in &columns {
