@@ -65,9 +65,9 @@ use tool::{LatticeTool, PartPixels, Place, product, squares};
 /// those of the bound. Larger: a smaller bound. Smaller: time that grows with its fourth power.
 const PITCHES_OF_SPLINES: [f64; 2] = [0.75, 0.45];
 
-/// Distance of an adjoint from the price, relative to that of the lowest adjoint, up to which a constraint stays when
-/// the splines become finer. Smaller: more rounds. Larger: more time for each.
-const NEAR_PRICE: f64 = 0.1;
+/// Distance of an adjoint from the price, relative to that of the lowest adjoint, up to which a constraint stays in the
+/// next round. Smaller: more rounds. Larger: more time for each.
+const NEAR_PRICE: f64 = 0.02;
 
 /// Distance of the first constraints relative to the length of the flanks of the tool. Larger: more rounds. Smaller:
 /// more time for each.
@@ -75,7 +75,7 @@ const PITCH_OF_CONSTRAINTS: f64 = 0.5;
 
 /// Largest number of rounds with the fine splines, each with constraints at the highest places of the round before.
 /// Larger: a larger bound. Smaller: less time.
-const MAX_ROUNDS: usize = 8;
+const MAX_ROUNDS: usize = 14;
 
 /// Excess of the adjoint over its largest value at the constraints, relative to it, at which the rounds end. Larger: a
 /// smaller bound. Smaller: more rounds.
@@ -276,28 +276,25 @@ impl BoundProblem {
     /// Returns the round with the best e by splines.
     fn by_splines(&self, budget: Budget) -> Round {
         let [coarse, fine] = &self.splines;
-        let mut places = self.first.clone();
-        let round = self.round(coarse, &self.constraints, &places, budget, COMPLEMENTARITY[0]);
-        let lowest = round.adjoints.iter().flatten().copied().fold(0.0, f64::min);
-        let least = round.price - NEAR_PRICE * (round.price - lowest);
-        places.retain(|place| round.adjoints[place.limit][place.index] >= least);
-        self.rounds(fine, places, budget)
+        let round = self.round(coarse, &self.constraints, budget, COMPLEMENTARITY[0]);
+        let near = self.first.iter().copied().filter(|place| round.is_near_price(place));
+        self.rounds(fine, near.collect(), budget)
     }
 
-    /// Returns the round with the best e by these splines: with constraints at `places`, then also where it needs them.
-    fn rounds(&self, splines: &Splines, mut places: Vec<Place>, budget: Budget) -> Round {
+    /// Returns the round with the best e by these splines: with constraints at `places`, then where it needs them.
+    fn rounds(&self, splines: &Splines, places: Vec<Place>, budget: Budget) -> Round {
         let mut constraints = splines.unconstrained();
         constraints.add(&places, splines, (&self.part, &self.tool), &self.adjoints);
         let mut number = 1;
         loop {
-            let round = self.round(splines, &constraints, &places, budget, COMPLEMENTARITY[1]);
+            let round = self.round(splines, &constraints, budget, COMPLEMENTARITY[1]);
             if number == MAX_ROUNDS || round.excess <= SMALL_EXCESS {
                 return round;
             }
             progress::done(number as f64 / MAX_ROUNDS as f64);
-            let new = self.highest_places(&round, number, &places);
+            constraints.retain(|place| round.is_near_price(place));
+            let new = self.highest_places(&round, number, &constraints.places);
             constraints.add(&new, splines, (&self.part, &self.tool), &self.adjoints);
-            places.extend(new);
             number += 1;
         }
     }
@@ -307,7 +304,6 @@ impl BoundProblem {
         &self,
         splines: &Splines,
         constraints: &Constraints,
-        places: &[Place],
         budget: Budget,
         complementarity: f64,
     ) -> Round {
@@ -321,16 +317,27 @@ impl BoundProblem {
         let solution = interior_point::solve(problem, budget);
         let residual_nm = self.part.residual_nm(splines.map(&solution.coefficients, &self.part));
         let adjoints = self.tool.adjoints(&residual_nm);
+        let places = constraints.places.clone();
         let at_places = places.iter().map(|place| adjoints[place.limit][place.index]);
         let price = at_places.fold(0.0, f64::max);
         let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
         let excess = if highest > price { highest / price - 1.0 } else { 0.0 };
-        let places = places.to_vec();
-        Round { residual_nm, adjoints, price, excess, places, dwell_s: solution.dwell_s }
+        let lowest = adjoints.iter().flatten().copied().fold(0.0, f64::min);
+        let near_price = price - NEAR_PRICE * (price - lowest);
+        Round {
+            residual_nm,
+            adjoints,
+            price,
+            near_price,
+            excess,
+            places,
+            dwell_s: solution.dwell_s,
+        }
     }
 
     /// Returns the places at which the adjoint has a local maximum above `price`, over all limits of the tool, and
-    /// eight places around each, that are no constraints yet. The eight are nearer with every round.
+    /// four places around each, that are no constraints yet. The four are nearer with every round. Of maxima that are
+    /// nearer to each other than these, the highest counts.
     fn highest_places(&self, round: &Round, number: usize, old: &[Place]) -> Vec<Place> {
         let Round { adjoints, price, .. } = round;
         let [across, along] = self.tool.apart(PITCH_OF_CONSTRAINTS / f64::from(1 << number));
@@ -343,13 +350,26 @@ impl BoundProblem {
                 }
             });
         }
+        let mut maxima: Vec<((usize, usize), f64)> = (largest.indexed_iter())
+            .map(|(index, value)| (index, *value))
+            .filter(|(index, value)| value > price && is_local_maximum(&largest, *index, *value))
+            .collect();
+        maxima.sort_by(|(_, a), (_, b)| b.total_cmp(a));
+        let mut highest: Vec<(usize, usize)> = Vec::new();
+        for (index, _) in maxima {
+            let is_near = |other: &(usize, usize)| {
+                index.0.abs_diff(other.0) <= along && index.1.abs_diff(other.1) <= across
+            };
+            if !highest.iter().any(is_near) {
+                highest.push(index);
+            }
+        }
         let mut used: BTreeSet<Place> = old.iter().copied().collect();
         let mut new = Vec::new();
-        for (index, value) in largest.indexed_iter().filter(|(_, value)| *value > price) {
-            if !is_local_maximum(&largest, index, *value) {
-                continue;
-            }
-            for near in around(index, (along, across), largest.dim()) {
+        for index in highest {
+            let beside = around(index, (along, across), largest.dim())
+                .filter(|near| near.0 == index.0 || near.1 == index.1);
+            for near in beside {
                 let place = Place { index: near, limit: limits[index] };
                 if used.insert(place) {
                     new.push(place);
@@ -373,12 +393,21 @@ struct Round {
     adjoints: Vec<Array2<f64>>,
     /// Largest adjoint at the constraints.
     price: f64,
+    /// Adjoint above which the constraint at a place stays.
+    near_price: f64,
     /// Excess of the largest adjoint at all places over `price`, relative to it.
     excess: f64,
     /// Places of the constraints.
     places: Vec<Place>,
     /// Multipliers of the constraints, s.
     dwell_s: Array1<f64>,
+}
+
+impl Round {
+    /// Returns true if the adjoint at a place is near the price.
+    fn is_near_price(&self, place: &Place) -> bool {
+        self.adjoints[place.limit][place.index] >= self.near_price
+    }
 }
 
 /// Returns true if no neighbour of an element of a map is larger than its value.

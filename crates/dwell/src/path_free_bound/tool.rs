@@ -99,12 +99,19 @@ impl LatticeTool {
         let flanks_mm = flanks_mm(tif);
         let axes = [(0, &grid.x, &tif.grid().x), (1, &grid.y, &tif.grid().y)];
         let flanks = axes.map(|(axis, map, _)| flanks_mm[axis] / map.step_mm());
-        let parts = flanks.map(|flank| (1.0 / (PITCH_OF_PLACES * flank)).ceil().max(1.0) as usize);
-        let [x, y] = axes.map(|(axis, map, samples)| {
-            let step_mm = map.step_mm() / parts[axis] as f64;
-            let first = (samples.start_mm() / step_mm - 1e-6).ceil() as isize;
-            let last = (tif.edge_mm()[axis] / step_mm + 1e-6).floor() as isize;
-            (first..=last).map(|k| k as f64 * step_mm).collect::<Vec<f64>>()
+        // Nodes of the lattice for each step of the TIF: every sample of it is at a node, whatever the rounding.
+        let nodes = axes.map(|(axis, _, samples)| {
+            (samples.step_mm() / (PITCH_OF_PLACES * flanks_mm[axis])).ceil().max(1.0)
+        });
+        let parts = axes.map(|(axis, map, samples)| {
+            ((map.step_mm() / samples.step_mm()).round() * nodes[axis]) as usize
+        });
+        let [x, y] = axes.map(|(axis, _, samples)| {
+            let step_mm = samples.step_mm() / nodes[axis];
+            let edge_mm = tif.edge_mm()[axis];
+            let last = ((edge_mm - samples.start_mm()) / step_mm + 1e-6).floor() as usize;
+            let at_mm = |k| (samples.start_mm() + k as f64 * step_mm).min(edge_mm);
+            (0..=last).map(at_mm).collect::<Vec<f64>>()
         });
         let all = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| tif.rate_at(x[c], y[r]));
         let ends = if tif.border_to_peak() > SMALL_STEP { 0..9 } else { 0..1 };
