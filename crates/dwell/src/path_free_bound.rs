@@ -65,9 +65,9 @@ use tool::{LatticeTool, PartPixels, Place, product, squares};
 /// those of the bound. Larger: a smaller bound. Smaller: time that grows with its fourth power.
 const PITCHES_OF_SPLINES: [f64; 2] = [0.75, 0.45];
 
-/// Distance of an adjoint from the price, relative to that of the lowest adjoint, up to which a constraint stays in the
-/// next round. Smaller: more rounds. Larger: more time for each.
-const NEAR_PRICE: f64 = 0.02;
+/// Distance of an adjoint from the price, relative to that of the lowest adjoint, up to which a constraint stays when
+/// the splines become finer. Smaller: more rounds. Larger: more time for each.
+const NEAR_PRICE: f64 = 0.1;
 
 /// Distance of the first constraints relative to the length of the flanks of the tool. Larger: more rounds. Smaller:
 /// more time for each.
@@ -77,9 +77,9 @@ const PITCH_OF_CONSTRAINTS: f64 = 0.5;
 /// Larger: a larger bound. Smaller: less time.
 const MAX_ROUNDS: usize = 14;
 
-/// Excess of the adjoint over its largest value at the constraints, relative to it, at which the rounds end. Larger: a
-/// smaller bound. Smaller: more rounds.
-const SMALL_EXCESS: f64 = 1e-3;
+/// Part of the bound that the places which are no constraints take from it, at which the rounds end. Larger: a smaller
+/// bound. Smaller: more rounds.
+const SMALL_LOSS: f64 = 1e-3;
 
 /// Complementarity, relative to the square of the residual, at which a round ends: with the coarse and with the fine
 /// splines. Larger: a smaller bound, by a quarter of the last one. Smaller: more steps.
@@ -96,6 +96,16 @@ enum Budget {
     TimeS(f64),
     /// Price of a second in half the sum of the squares, nm^2/s times pixels.
     Price(f64),
+}
+
+impl Budget {
+    /// Returns the total time, s, of these dwell times.
+    fn time_s(self, dwell_s: &Array1<f64>) -> f64 {
+        match self {
+            Self::TimeS(time_s) => time_s,
+            Self::Price(_) => dwell_s.sum(),
+        }
+    }
 }
 
 /// Run times and prices of a second for which bounds are found.
@@ -228,10 +238,7 @@ impl BoundProblem {
 
     /// Returns the bound by the residual of a round, whose dwell times leave `left_nm`.
     fn of_round(&self, round: &Round, left_nm: &Array2<f64>, budget: Budget) -> PathFreeBound {
-        let time_s = match budget {
-            Budget::TimeS(time_s) => time_s,
-            Budget::Price(_) => round.dwell_s.sum(),
-        };
+        let time_s = budget.time_s(&round.dwell_s);
         let highest = highest(&round.residual_nm, &self.tif, &self.grid);
         self.by_map(&round.residual_nm, highest, self.part.rms(left_nm), time_s)
     }
@@ -277,8 +284,10 @@ impl BoundProblem {
     fn by_splines(&self, budget: Budget) -> Round {
         let [coarse, fine] = &self.splines;
         let round = self.round(coarse, &self.constraints, budget, COMPLEMENTARITY[0]);
-        let near = self.first.iter().copied().filter(|place| round.is_near_price(place));
-        self.rounds(fine, near.collect(), budget)
+        let lowest = round.adjoints.iter().flatten().copied().fold(0.0, f64::min);
+        let least = round.price - NEAR_PRICE * (round.price - lowest);
+        let is_near = |place: &&Place| round.adjoints[place.limit][place.index] >= least;
+        self.rounds(fine, self.first.iter().filter(is_near).copied().collect(), budget)
     }
 
     /// Returns the round with the best e by these splines: with constraints at `places`, then where it needs them.
@@ -288,11 +297,10 @@ impl BoundProblem {
         let mut number = 1;
         loop {
             let round = self.round(splines, &constraints, budget, COMPLEMENTARITY[1]);
-            if number == MAX_ROUNDS || round.excess <= SMALL_EXCESS {
+            if number == MAX_ROUNDS || round.loss <= SMALL_LOSS {
                 return round;
             }
             progress::done(number as f64 / MAX_ROUNDS as f64);
-            constraints.retain(|place| round.is_near_price(place));
             let new = self.highest_places(&round, number, &constraints.places);
             constraints.add(&new, splines, (&self.part, &self.tool), &self.adjoints);
             number += 1;
@@ -321,18 +329,11 @@ impl BoundProblem {
         let at_places = places.iter().map(|place| adjoints[place.limit][place.index]);
         let price = at_places.fold(0.0, f64::max);
         let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
-        let excess = if highest > price { highest / price - 1.0 } else { 0.0 };
-        let lowest = adjoints.iter().flatten().copied().fold(0.0, f64::min);
-        let near_price = price - NEAR_PRICE * (price - lowest);
-        Round {
-            residual_nm,
-            adjoints,
-            price,
-            near_price,
-            excess,
-            places,
-            dwell_s: solution.dwell_s,
-        }
+        let dwell_s = solution.dwell_s;
+        let time_s = budget.time_s(&dwell_s);
+        // e'z - T price is nearly |e|^2: what is left of (1) without the excess of the highest adjoint over the price.
+        let loss = time_s * (highest - price).max(0.0) / squares(&residual_nm);
+        Round { residual_nm, adjoints, price, loss, places, dwell_s }
     }
 
     /// Returns the places at which the adjoint has a local maximum above `price`, over all limits of the tool, and
@@ -393,21 +394,12 @@ struct Round {
     adjoints: Vec<Array2<f64>>,
     /// Largest adjoint at the constraints.
     price: f64,
-    /// Adjoint above which the constraint at a place stays.
-    near_price: f64,
-    /// Excess of the largest adjoint at all places over `price`, relative to it.
-    excess: f64,
+    /// Part of the bound that the excess of the largest adjoint over the price takes from it.
+    loss: f64,
     /// Places of the constraints.
     places: Vec<Place>,
     /// Multipliers of the constraints, s.
     dwell_s: Array1<f64>,
-}
-
-impl Round {
-    /// Returns true if the adjoint at a place is near the price.
-    fn is_near_price(&self, place: &Place) -> bool {
-        self.adjoints[place.limit][place.index] >= self.near_price
-    }
 }
 
 /// Returns true if no neighbour of an element of a map is larger than its value.

@@ -321,34 +321,18 @@ impl Constraints {
         desired: &[Array2<f64>],
     ) {
         let before = self.columns.len();
-        self.columns
-            .extend(parallel::map(places.len(), &|k| splines.column(places[k], part, tool)));
-        self.add_rows(before);
-        let more = places.iter().map(|place| desired[place.limit][place.index]);
-        self.desired = self.desired.iter().copied().chain(more).collect();
-        self.places.extend(places);
-    }
-
-    /// Drops the constraints at other places than those for which `is_kept` is true.
-    pub fn retain(&mut self, is_kept: impl Fn(&Place) -> bool) {
-        let mut kept = self.places.iter().map(&is_kept);
-        self.columns.retain(|_| kept.next() == Some(true));
-        let desired = self.places.iter().zip(&self.desired).filter(|(place, _)| is_kept(place));
-        self.desired = desired.map(|(_, q)| *q).collect();
-        self.places.retain(is_kept);
-        self.rows.iter_mut().for_each(Vec::clear);
-        self.add_rows(0);
-    }
-
-    /// Adds the elements of the columns from `first` on to the rows.
-    fn add_rows(&mut self, first: usize) {
-        for (k, runs) in self.columns.iter().enumerate().skip(first) {
+        let columns = parallel::map(places.len(), &|k| splines.column(places[k], part, tool));
+        for (k, runs) in columns.iter().enumerate() {
             for run in runs {
                 for (l, v) in (run.first..).zip(&run.values).filter(|(_, v)| **v != 0.0) {
-                    self.rows[l].push((k, *v));
+                    self.rows[l].push((before + k, *v));
                 }
             }
         }
+        self.columns.extend(columns);
+        let more = places.iter().map(|place| desired[place.limit][place.index]);
+        self.desired = self.desired.iter().copied().chain(more).collect();
+        self.places.extend(places);
     }
 
     /// Returns `V'a` at the constraints.
