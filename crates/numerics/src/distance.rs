@@ -5,6 +5,8 @@
 //! distance of the cubic, and a point of the cubic gives a lower bound. Halving the interval closes the gap (G. Farin,
 //! *Curves and Surfaces for CAGD*, chapter 5).
 
+use crate::polynomial::halves;
+
 /// A point [x, y] of the plane.
 pub type Point = [f64; 2];
 
@@ -87,19 +89,6 @@ pub fn largest(
         parts.push((first, halvings + 1));
     }
     largest
-}
-
-/// Returns the Bernstein coefficients of both halves of a cubic, by de Casteljau's construction.
-fn halves([a, b, c, d]: &[Point; 4]) -> [[Point; 4]; 2] {
-    let [ab, bc, cd] = [(a, b), (b, c), (c, d)].map(|(p, q)| middle(p, q));
-    let [abc, bcd] = [(ab, bc), (bc, cd)].map(|(p, q)| middle(&p, &q));
-    let centre = middle(&abc, &bcd);
-    [[*a, ab, abc, centre], [centre, bcd, cd, *d]]
-}
-
-/// Returns the point half way between two points.
-fn middle(p: &Point, q: &Point) -> Point {
-    [0.5 * (p[0] + q[0]), 0.5 * (p[1] + q[1])]
 }
 
 #[cfg(test)]

@@ -26,6 +26,20 @@ pub fn shifted(p: &[f64; 4], d: f64) -> [f64; 4] {
     [evaluate(p, d), evaluate(&v, d), evaluate(&a, d) / 2.0, evaluate(&j, d) / 6.0]
 }
 
+/// Returns the Bernstein coefficients of both halves of a cubic, each of them a point of N coordinates, by de Casteljau's
+/// construction.
+pub fn halves<const N: usize>([a, b, c, d]: &[[f64; N]; 4]) -> [[[f64; N]; 4]; 2] {
+    let [ab, bc, cd] = [middle(a, b), middle(b, c), middle(c, d)];
+    let [abc, bcd] = [middle(&ab, &bc), middle(&bc, &cd)];
+    let centre = middle(&abc, &bcd);
+    [[*a, ab, abc, centre], [centre, bcd, cd, *d]]
+}
+
+/// Returns the point half way between two points.
+fn middle<const N: usize>(p: &[f64; N], q: &[f64; N]) -> [f64; N] {
+    std::array::from_fn(|k| 0.5 * (p[k] + q[k]))
+}
+
 /// Returns the real roots of `a + b u + c u^2` in the open interval (0, `end`), ascending.
 ///
 /// Uses the citardauq pair `q = -(b + sign(b) sqrt(b^2 - 4ac)) / 2`, `u = q / c`, `u = a / q`,

@@ -23,7 +23,7 @@
 //! Source: blossoms and convex hulls, L. Ramshaw, Comput. Aided Geom. Des. 6 (1989) 323.
 
 use ndarray::{Array2, s};
-use planish_numerics::{fft::convolution::Convolution, parallel};
+use planish_numerics::{fft::convolution::Convolution, parallel, polynomial::halves};
 use planish_types::{Axis, Grid, Tif};
 
 use crate::model::columns::longest_part_mm;
@@ -219,40 +219,21 @@ impl Bicubic {
 
     /// Returns the four parts between the middles of the ends.
     fn quarters(&self) -> [Self; 4] {
-        let rows = self.coefficients.map(halves);
-        let [left, right] = [0, 1].map(|half| rows.map(|row| row[half]));
-        let [[lower_left, upper_left], [lower_right, upper_right]] =
-            [left, right].map(|half| halves_along_y(&half));
         let [x, y] = self.ends.map(|[low, high]| {
             let middle = 0.5 * (low + high);
             [[low, middle], [middle, high]]
         });
+        let [lower, upper] = halves(&self.coefficients).map(|half| halves(&transposed(&half)));
+        let part = |half: &[[f64; 4]; 4], ends| Self { coefficients: transposed(half), ends };
         [
-            Self { coefficients: lower_left, ends: [x[0], y[0]] },
-            Self { coefficients: lower_right, ends: [x[1], y[0]] },
-            Self { coefficients: upper_left, ends: [x[0], y[1]] },
-            Self { coefficients: upper_right, ends: [x[1], y[1]] },
+            part(&lower[0], [x[0], y[0]]),
+            part(&lower[1], [x[1], y[0]]),
+            part(&upper[0], [x[0], y[1]]),
+            part(&upper[1], [x[1], y[1]]),
         ]
     }
 }
 
-/// Returns the coefficients of both halves of a cubic.
-fn halves(b: [f64; 4]) -> [[f64; 4]; 2] {
-    let once = [0, 1, 2].map(|k| 0.5 * (b[k] + b[k + 1]));
-    let twice = [0, 1].map(|k| 0.5 * (once[k] + once[k + 1]));
-    let middle = 0.5 * (twice[0] + twice[1]);
-    [[b[0], once[0], twice[0], middle], [middle, twice[1], once[2], b[3]]]
-}
-
-/// Returns the coefficients of the lower and the upper half of a bicubic.
-fn halves_along_y(coefficients: &[[f64; 4]; 4]) -> [[[f64; 4]; 4]; 2] {
-    let mut both = [[[0.0; 4]; 4]; 2];
-    for column in 0..4 {
-        let [lower, upper] = halves(coefficients.map(|row| row[column]));
-        for row in 0..4 {
-            both[0][row][column] = lower[row];
-            both[1][row][column] = upper[row];
-        }
-    }
-    both
+fn transposed(matrix: &[[f64; 4]; 4]) -> [[f64; 4]; 4] {
+    [0, 1, 2, 3].map(|k| matrix.map(|row| row[k]))
 }

@@ -40,8 +40,8 @@ pub struct Splines {
     is_y_across: bool,
     /// 1 over the norm of every spline; 0 if it is not used.
     scale: Vec<f64>,
-    /// Maps beside the splines (ny, nx), of norm 1 and 0 on the invalid pixels.
-    others: Vec<Array2<f64>>,
+    /// Map beside the splines (ny, nx), of norm 1 and 0 on the invalid pixels.
+    other: Option<Array2<f64>>,
     /// G, damped.
     pub gram: Skyline,
     /// u.
@@ -107,7 +107,7 @@ impl Splines {
             scale: vec![1.0; along[0].len() * along[1].len()],
             along,
             is_y_across,
-            others: Vec::new(),
+            other: None,
             gram: Skyline::zeros(Vec::new()),
             sums: Vec::new(),
             along_desired: Vec::new(),
@@ -126,25 +126,24 @@ impl Splines {
         splines
     }
 
-    /// Returns these splines and another map (ny, nx) that is 0 on the invalid pixels.
+    /// Returns these splines, which have no map beside them, and a map (ny, nx) that is 0 on the invalid pixels.
     pub fn with(&self, mut map: Array2<f64>, part: &PartPixels) -> Self {
         map /= squares(&map).sqrt();
         let n = self.sums.len();
-        let mut row: Vec<f64> = (0..self.scale.len())
+        let mut row: Vec<f64> = (0..n)
             .map(|k| {
                 let spline = self.on_map(k, part);
                 self.scale[k] * (&spline.values * &spline.under(&map)).sum()
             })
             .collect();
-        row.extend(self.others.iter().map(|other| product(other, &map)));
         row.push(1.0 + DAMPING);
-        let mut more = self.clone();
+        let first = (0..n).map(|k| self.gram.first(k)).chain([0]);
+        let mut gram = Skyline::zeros(first.collect());
+        gram.fill(|k, to| to.copy_from_slice(if k < n { self.gram.row(k) } else { &row }));
+        let mut more = Self { gram, ..self.clone() };
         more.sums.push(map.sum());
         more.along_desired.push(product(&map, &part.desired_nm));
-        let first = (0..n).map(|k| self.gram.first(k)).chain([0]);
-        more.gram = Skyline::zeros(first.collect());
-        more.gram.fill(|k, to| to.copy_from_slice(if k < n { self.gram.row(k) } else { &row }));
-        more.others.push(map);
+        more.other = Some(map);
         more
     }
 
@@ -194,14 +193,13 @@ impl Splines {
     /// Returns `S a` on the valid pixels (ny, nx).
     pub fn map(&self, a: &[f64], part: &PartPixels) -> Array2<f64> {
         let mut map = Array2::zeros(part.desired_nm.dim());
-        let (splines, others) = a.split_at(self.scale.len());
-        for (k, a) in splines.iter().enumerate() {
+        for (k, a) in a.iter().take(self.scale.len()).enumerate() {
             let Patch { origin: (r, c), values } = self.on_map(k, part);
             let (ny, nx) = values.dim();
             map.slice_mut(s![r..r + ny, c..c + nx]).scaled_add(a * self.scale[k], &values);
         }
-        for (other, a) in self.others.iter().zip(others) {
-            map.scaled_add(*a, other);
+        if let Some(other) = &self.other {
+            map.scaled_add(a[self.scale.len()], other);
         }
         map
     }
@@ -244,13 +242,9 @@ impl Splines {
                 Run { first, values: scaled.collect() }
             })
             .collect();
-        if !self.others.is_empty() {
-            let under =
-                |map: &Array2<f64>| (&rates * &map.slice(s![top..top + ny, left..left + nx])).sum();
-            runs.push(Run {
-                first: self.scale.len(),
-                values: self.others.iter().map(under).collect(),
-            });
+        if let Some(other) = &self.other {
+            let under = other.slice(s![top..top + ny, left..left + nx]);
+            runs.push(Run { first: self.scale.len(), values: vec![(&rates * &under).sum()] });
         }
         runs
     }
