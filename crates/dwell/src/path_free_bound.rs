@@ -227,7 +227,7 @@ impl BoundProblem {
         let first = self.by_splines(budget);
         let left_nm = self.left_nm(&first);
         let bound = self.of_round(&first, &left_nm, budget);
-        if !WORTH_ANOTHER.contains(&bound.gap) {
+        if self.splines[1].are_pixels() || !WORTH_ANOTHER.contains(&bound.gap) {
             return bound;
         }
         let splines = self.splines[1].with(&first.residual_nm - &left_nm, &self.part);

@@ -147,6 +147,11 @@ impl Splines {
         more
     }
 
+    /// Returns true if every map is a sum of these splines.
+    pub fn are_pixels(&self) -> bool {
+        self.along.iter().flatten().all(|piece| piece.values.len() == 1)
+    }
+
     /// Returns G, with 1 on the diagonal for splines that are not used.
     fn products(&self, maps: &[Patch], spans: [usize; 2]) -> Skyline {
         let across = self.across();
