@@ -13,6 +13,7 @@ use planish_dwell::{
     DwellError,
     path_free_bound::{BoundProblem, PathFreeBound},
 };
+use planish_numerics::pareto;
 use planish_types::{Surface, Tif};
 
 /// Width of (1), relative to its lower end, that is narrow enough at a motion. Larger: smaller bounds. Smaller: time.
@@ -33,15 +34,16 @@ pub struct Front {
 
 impl Front {
     /// Finds bounds at the times at which (1) is widest for these motions: the time, s, and the residual RMS, nm, of
-    /// each.
+    /// each. Motions that another beats in both come last.
     pub fn new(desired: &Surface, tif: &Tif, motions: &[[f64; 2]]) -> Result<Self, DwellError> {
         let mut front = Self { desired_rms_nm: desired.statistics().rms, bounds: Vec::new() };
         if motions.is_empty() {
             return Ok(front);
         }
         let problem = BoundProblem::new(desired, tif)?;
+        let best: Vec<[f64; 2]> = pareto::front(motions).into_iter().map(|i| motions[i]).collect();
         for _ in 0..MOST_BOUNDS {
-            let Some(time_s) = front.widest(motions) else { break };
+            let Some(time_s) = front.widest(&best).or_else(|| front.widest(motions)) else { break };
             let next = front.bounds.partition_point(|bound| bound.time_s < time_s);
             front.bounds.insert(next, problem.at_time(time_s));
         }
