@@ -275,8 +275,10 @@ def print_recommended(scored):
         ones = [one for name, one in scored.items() if group(name) == g and recommended(one)]
         rows = [recommended(one) for one in ones]
         # Without a bound above 0, the excess is infinite.
-        medians = [median([math.inf if row[key] is None else row[key] for row in rows]) if rows else math.inf
-                   for key in ("excess", "excess_time")]
+        medians = [
+            median([math.inf if row[key] is None else row[key] for row in rows]) if rows else math.inf
+            for key in ("excess", "excess_time")
+        ]
         beaten = sum(bool(better(one)) for one in ones)
         print(
             f"{g}: {len(ones)} recommended plans, {beaten} of them with another that leaves less in less time; median "
@@ -285,7 +287,10 @@ def print_recommended(scored):
 
 
 def percent(number):
-    return "" if number is None or not math.isfinite(number) else f"{100 * number:.1f}"
+    """Returns an excess in percent; nothing if it has no bound."""
+    if number is None or not math.isfinite(number):
+        return ""
+    return f"{100 * number:.1f}" if number <= 100 else "over 10000"
 
 
 def write_csv(file, columns, rows):
