@@ -365,7 +365,7 @@ def problems_table(scored):
         cells = [name, pixels(name), len(kept(one))]
         cells += [percent(best["excess"]), best["method"]] if best else ["", ""]
         if mine:
-            cells += [mine["method"], percent(mine["residual_rms_nm"] / mine["reached_rms_nm"] - 1)]
+            cells += [mine["method"], percent(max(mine["residual_rms_nm"] / mine["reached_rms_nm"] - 1, 0))]
             cells += [percent(mine["excess"]), percent(mine["excess_time"]), " ".join(better(one))]
             cells += [f"{mine['bound_rms_nm']:.4g}", f"{mine['time_s']:.1f}"]
         else:
