@@ -252,37 +252,44 @@ def valid(scored):
     return [row for row in scored["rows"] if row.get("excess") is not None]
 
 
-def kept(scored):
+def kept(rows):
     """Returns the motions that keep the limits."""
-    return [row for row in scored["rows"] if "time_s" in row]
+    return [row for row in rows if "time_s" in row]
 
 
 def recommended(scored):
     """Returns the motion of the recommended plan; None if there is none that keeps the limits."""
-    return next((row for row in kept(scored) if row["method"] == scored["recommended"]), None)
+    return next(iter(kept(rows_of(scored, "recommended"))), None)
 
 
 def better(scored):
     """Returns the methods that leave less than the recommended plan, in less time."""
     mine = recommended(scored)
     keys = ("residual_rms_nm", "time_s")
-    return [row["method"] for row in kept(scored) if mine and all(row[key] < mine[key] for key in keys)]
+    return [row["method"] for row in kept(scored["rows"]) if mine and all(row[key] < mine[key] for key in keys)]
+
+
+def median_excess(rows, key):
+    """Returns the median excess, in residual or in time; it is infinite without a bound above 0, or without motions."""
+    return median([math.inf if row[key] is None else row[key] for row in rows]) if rows else math.inf
+
+
+def least_excess(row):
+    """Returns the excess over what dwell times at any place reach: the excess over the least residual is no smaller."""
+    reached = row["reached_rms_nm"]
+    return max(row["residual_rms_nm"] / reached - 1, 0) if reached else math.inf
 
 
 def print_recommended(scored):
     """Prints how the recommended plans stand: which are the best ones, and their median excess in residual and time."""
     for g in sorted({group(name) for name in scored}):
-        ones = [one for name, one in scored.items() if group(name) == g and recommended(one)]
-        rows = [recommended(one) for one in ones]
-        # Without a bound above 0, the excess is infinite.
-        medians = [
-            median([math.inf if row[key] is None else row[key] for row in rows]) if rows else math.inf
-            for key in ("excess", "excess_time")
-        ]
+        ones = [one for name, one in scored.items() if group(name) == g]
+        rows = list(filter(None, map(recommended, ones)))
         beaten = sum(bool(better(one)) for one in ones)
+        in_residual, in_time = (percent(median_excess(rows, key)) or "infinite" for key in ("excess", "excess_time"))
         print(
-            f"{g}: {len(ones)} recommended plans, {beaten} of them with another that leaves less in less time; median "
-            f"excess {percent(medians[0]) or 'infinite'} % in residual, {percent(medians[1]) or 'infinite'} % in time"
+            f"{g}: {len(rows)} recommended plans, {beaten} of them with another that leaves less in less time; median "
+            f"excess {in_residual} % in residual, {in_time} % in time"
         )
 
 
@@ -330,15 +337,12 @@ def methods_table(scored):
         cells = [method]
         for g in groups:
             rows = [row for name in scored if group(name) == g for row in rows_of(scored[name], method)]
-            good = [row for row in rows if "time_s" in row]
+            good = kept(rows)
             if not rows:
                 cells += ["not run", "", ""]
                 continue
             cells.append(f"{len(good)} of {len(rows)}")
-            for key in ("excess", "excess_time"):
-                # Without a bound above 0, the excess is infinite.
-                numbers = [math.inf if row[key] is None else row[key] for row in good]
-                cells.append(percent(median(numbers)) if numbers else "")
+            cells += [percent(median_excess(good, key)) for key in ("excess", "excess_time")]
         table.append(cells)
     return columns, table
 
@@ -362,10 +366,10 @@ def problems_table(scored):
         rows = valid(one)
         best = min(rows, key=lambda row: row["excess"], default=None)
         mine = recommended(one)
-        cells = [name, pixels(name), len(kept(one))]
+        cells = [name, pixels(name), len(kept(one["rows"]))]
         cells += [percent(best["excess"]), best["method"]] if best else ["", ""]
         if mine:
-            cells += [mine["method"], percent(max(mine["residual_rms_nm"] / mine["reached_rms_nm"] - 1, 0))]
+            cells += [mine["method"], percent(least_excess(mine))]
             cells += [percent(mine["excess"]), percent(mine["excess_time"]), " ".join(better(one))]
             cells += [f"{mine['bound_rms_nm']:.4g}", f"{mine['time_s']:.1f}"]
         else:
@@ -497,7 +501,7 @@ def print_errors(names, out):
     """Prints the residuals of the recommended plans with the errors of the process."""
     for name in names:
         scored, reason = run(name, out)
-        mine = next(iter(rows_of(scored, scored["recommended"])), None) if scored else None
+        mine = recommended(scored) if scored else None
         if mine is None:
             print(f"{name}: left out: {reason or 'no plan is recommended'}", file=sys.stderr)
             continue

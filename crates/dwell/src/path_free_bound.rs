@@ -175,8 +175,6 @@ pub struct BoundProblem {
     splines: [Splines; 2],
     /// Adjoint products of the desired removal at all places of the lattice, for every limit of the tool.
     adjoints: Vec<Array2<f64>>,
-    /// Places of the first constraints.
-    first: Vec<Place>,
     /// The first constraints, for the coarse splines.
     constraints: Constraints,
 }
@@ -209,7 +207,7 @@ impl BoundProblem {
         let mut constraints = splines[0].unconstrained();
         constraints.add(&first, &splines[0], (&part, &tool), &adjoints);
         let tif = tif.into_owned();
-        Ok(Self { grid, tif, lattice, part, tool, splines, adjoints, first, constraints })
+        Ok(Self { grid, tif, lattice, part, tool, splines, adjoints, constraints })
     }
 
     /// Returns the RMS of the desired removal, nm.
@@ -287,7 +285,8 @@ impl BoundProblem {
         let lowest = round.adjoints.iter().flatten().copied().fold(0.0, f64::min);
         let least = round.price - NEAR_PRICE * (round.price - lowest);
         let is_near = |place: &&Place| round.adjoints[place.limit][place.index] >= least;
-        self.rounds(fine, self.first.iter().filter(is_near).copied().collect(), budget)
+        let near = self.constraints.places.iter().filter(is_near);
+        self.rounds(fine, near.copied().collect(), budget)
     }
 
     /// Returns the round with the best e by these splines: with constraints at `places`, then where it needs them.
@@ -356,18 +355,9 @@ impl BoundProblem {
             .filter(|(index, value)| value > price && is_local_maximum(&largest, *index, *value))
             .collect();
         maxima.sort_by(|(_, a), (_, b)| b.total_cmp(a));
-        let mut highest: Vec<(usize, usize)> = Vec::new();
-        for (index, _) in maxima {
-            let is_near = |other: &(usize, usize)| {
-                index.0.abs_diff(other.0) <= along && index.1.abs_diff(other.1) <= across
-            };
-            if !highest.iter().any(is_near) {
-                highest.push(index);
-            }
-        }
         let mut used: BTreeSet<Place> = old.iter().copied().collect();
         let mut new = Vec::new();
-        for index in highest {
+        for index in apart(maxima, (along, across)) {
             let beside = around(index, (along, across), largest.dim())
                 .filter(|near| near.0 == index.0 || near.1 == index.1);
             for near in beside {
@@ -405,6 +395,18 @@ struct Round {
 /// Returns true if no neighbour of an element of a map is larger than its value.
 fn is_local_maximum(map: &Array2<f64>, (r, c): (usize, usize), value: f64) -> bool {
     around((r, c), (1, 1), map.dim()).all(|(row, column)| map[[row, column]] <= value)
+}
+
+/// Returns the indices of the maxima, the highest first, that are more than `step` (rows, columns) from those before.
+fn apart(maxima: Vec<((usize, usize), f64)>, step: (usize, usize)) -> Vec<(usize, usize)> {
+    let mut apart: Vec<(usize, usize)> = Vec::new();
+    for ((r, c), _) in maxima {
+        let mut others = apart.iter();
+        if others.all(|other| r.abs_diff(other.0) > step.0 || c.abs_diff(other.1) > step.1) {
+            apart.push((r, c));
+        }
+    }
+    apart
 }
 
 /// Returns the indices of an element and of those `step` (rows, columns) away from it within an array of this shape.

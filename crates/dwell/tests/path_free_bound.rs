@@ -257,9 +257,10 @@ fn a_strip_has_a_bound_at_a_long_time() {
 fn steps_that_differ_by_their_rounding_have_the_same_bound() {
     let (desired, _) = random_map(3);
     let step = desired.grid().x.step_mm();
-    let gap = |step: f64| bounds(&desired, &gaussian(8.0, 1.0, 9.0 * step, step), &[4.0]).bounds[0];
-    let [same, rounded] = [step, step * (1.0 - 2e-7)].map(gap);
+    let [same, rounded] = [step, step * (1.0 - 2e-7)]
+        .map(|step| bounds(&desired, &gaussian(8.0, 1.0, 9.0 * step, step), &[4.0]).bounds[0]);
     // The tool is 2e-7 narrower, and ends in a step of 8 % of its peak; the rounds end at 1e-3.
     assert!((rounded.bound_rms_nm / same.bound_rms_nm - 1.0).abs() < 1e-3, "{same:?} {rounded:?}");
+    // The goal of the bound is a gap of 1 %.
     assert!(rounded.gap < 0.01, "{rounded:?}");
 }
