@@ -234,3 +234,8 @@ pub fn read(format: Format, bytes: &[u8], pick: &Pick) -> Result<Reading, Invali
         }
     }
 }
+
+/// Returns the first 80 characters of a text of a file, without control characters, for a message or the manifest.
+fn short(text: &str) -> String {
+    text.chars().filter(|c| !c.is_control()).take(80).collect()
+}

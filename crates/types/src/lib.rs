@@ -91,6 +91,9 @@ pub use variation::{
     AzimuthWeights, Component, PixelFactor, Pose, TimeFactor, TurnWeights, Variation,
 };
 
+/// Characters at the beginning and at the end of a long text that an error keeps.
+const LONGEST_END: usize = 500;
+
 /// An input value that the constructor of a type refuses, with the place, the fault and the remedy.
 ///
 /// `array` is the name of the array or field, and `place` the index or its substitute. `problem`
@@ -133,7 +136,8 @@ impl Invalid {
         problem: impl Into<String>,
         remedy: impl Into<String>,
     ) -> Self {
-        Self { array, place: String::new(), problem: problem.into(), remedy: remedy.into() }
+        let [problem, remedy] = [legible(problem.into()), legible(remedy.into())];
+        Self { array, place: String::new(), problem, remedy }
     }
 
     /// Returns an error about the element at `index`, a number or a tuple of numbers.
@@ -145,6 +149,41 @@ impl Invalid {
     ) -> Self {
         let place = format!("{index:?}").replace(['(', ')'], "");
         let place = format!("[{}]", place.trim_matches(['[', ']']));
-        Self { array, place, problem: problem.into(), remedy: remedy.into() }
+        let [problem, remedy] = [legible(problem.into()), legible(remedy.into())];
+        Self { array, place, problem, remedy }
+    }
+}
+
+/// Returns a text that may quote a file so that a person can read it: the middle of one that is longer than twice
+/// [`LONGEST_END`] characters is left out, and control characters, which a terminal would obey, are replaced.
+fn legible(text: String) -> String {
+    let shown = text.replace(|c: char| c.is_control() && c != '\n' && c != '\t', "\u{fffd}");
+    let count = shown.chars().count();
+    if count <= 2 * LONGEST_END {
+        return shown;
+    }
+    let start: String = shown.chars().take(LONGEST_END).collect();
+    let end: String = shown.chars().skip(count - LONGEST_END).collect();
+    format!("{start} ... {end}")
+}
+
+#[cfg(test)]
+mod tests {
+    use super::*;
+
+    #[test]
+    fn an_error_that_quotes_a_line_of_another_file_keeps_its_sentence() {
+        let line = "\u{8}\u{1b}[2J".repeat(3000);
+        for quoted in [
+            format!("has {line:?}, which is not understood"),
+            format!("has {line}, which is not understood"),
+        ] {
+            let message =
+                Invalid::at_index("program line", 1, quoted, "correct the line").to_string();
+            assert!(message.starts_with("program line[1]: has "), "{message}");
+            assert!(message.ends_with(", which is not understood; correct the line"), "{message}");
+            assert!(message.chars().count() < 2 * LONGEST_END + 100, "{message}");
+            assert!(!message.contains(char::is_control), "{message:?}");
+        }
     }
 }

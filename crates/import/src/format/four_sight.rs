@@ -13,7 +13,10 @@ use hdf5_reader::{Attribute, Hdf5File, group::Group};
 use planish_types::Invalid;
 use serde_json::json;
 
-use super::hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, matrix, open};
+use super::{
+    hdf5::{MOST_VALUES, attribute_numbers, broken, is_single, matrix, open},
+    short,
+};
 use crate::{
     Format, Unit,
     arrays::leaf,
@@ -153,9 +156,4 @@ fn group_attribute(group: &Group, name: &str) -> Result<Option<Attribute>, Inval
 fn attribute_text(group: &Group, name: &str) -> Result<Option<String>, Invalid> {
     let Some(attribute) = group_attribute(group, name)? else { return Ok(None) };
     Ok(attribute.read_strings().map_err(broken)?.into_iter().next())
-}
-
-/// Returns the first 40 characters of a text without control characters, for a message or the manifest.
-fn short(text: &str) -> String {
-    text.chars().filter(|c| !c.is_control()).take(40).collect()
 }

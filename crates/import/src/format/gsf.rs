@@ -11,6 +11,7 @@ use ndarray::Array2;
 use planish_types::Invalid;
 use serde_json::json;
 
+use super::short;
 use crate::{
     Format, Unit,
     budget::{MOST_TEXT_BYTES, check_size},
@@ -95,9 +96,4 @@ pub fn read(bytes: &[u8]) -> Result<Reading, Invalid> {
     }
     reading.stated = json!({ "z_units": unit, "title": header.field("Title").map(|t| short(&t)) });
     Ok(reading)
-}
-
-/// Returns the first 80 characters of a text without control characters, for a message or the manifest.
-fn short(text: &str) -> String {
-    text.chars().filter(|c| !c.is_control()).take(80).collect()
 }

@@ -18,6 +18,7 @@ use ndarray::Array2;
 use planish_types::Invalid;
 use serde_json::json;
 
+use super::short;
 use crate::{
     Format, Unit,
     budget::{MOST_ARRAYS, MOST_TEXT_BYTES, check_size, too_many},
@@ -330,9 +331,4 @@ fn value<'a>(b: &Bytes<'a>, kind: u8, start: usize) -> Result<(Value<'a>, usize)
 /// Returns the message about a damaged Gwyddion file.
 fn broken(problem: String) -> Invalid {
     Invalid::whole(NAME, problem, "save it again in Gwyddion")
-}
-
-/// Returns the first 80 characters of a text without control characters, for a message or the manifest.
-fn short(text: &str) -> String {
-    text.chars().filter(|c| !c.is_control()).take(80).collect()
 }
