@@ -272,6 +272,12 @@ test-faults kills="1000" races="200": build
 test-killed *flags: build
     python3 crates/testkit/tests/killed.py target/release {{ flags }}
 
+# A measured mirror line in the benchmark: its scores, its errors, and other settings; needs PLANISH_REFERENCE
+[group('4 slower tests')]
+test-benchmark: build
+    @test -n "${PLANISH_REFERENCE:-}" || echo "left out: PLANISH_REFERENCE names no folder with dabam/"
+    test -z "${PLANISH_REFERENCE:-}" || benchmark/test.sh dabam-009-sigma-5 out/test-benchmark
+
 # Make the mistakes of a laboratory, in units, clocks, angles and files: which of them stay silent?
 [group('4 slower tests')]
 test-mistakes: build

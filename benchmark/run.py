@@ -8,6 +8,7 @@
   --scored       no runs: the tables of the problems that have scores
   --finer        these problems again on a map with half the pitch: do the methods keep their order?
   --errors       these problems again with the errors of the process, by their recommended plans
+  --defaults     other values of the settings, one at a time, on these maps: how far is each default from the best?
 
 A problem that has its scores is not run again. A measured problem whose part is missing is left out, with the reason.
 Every map has the plans of `planish run raster` and all schedulers, and every line those of `planish run line`. A map of
@@ -46,6 +47,26 @@ SCHEDULERS = {
     "trig-spline+local": ["trig-spline", "--repair", "local"],
 }
 OTHER_PATHS = ["maze", "random-adaptive"]
+# Other values of the settings of a joint plan, one at a time: a setting, and its value in the unit after it. A width is
+# that of the tool at half its peak.
+OTHER_VALUES = [
+    ("pitch_mm", 0.15, "widths"),
+    ("pitch_mm", 0.35, "widths"),
+    ("pitch_mm", 0.5, "widths"),
+    ("node_spacing_mm", 0.4, "widths"),
+    ("node_spacing_mm", 0.9, "widths"),
+    ("overscan_mm", 0, "widths"),
+    ("overscan_mm", 0.5, "widths"),
+    ("min_dwell_s_per_mm", 0.05, ""),
+    ("min_dwell_s_per_mm", 0.2, ""),
+    ("time_elasticity", 0.25, ""),
+    ("time_elasticity", 1, ""),
+    ("time_elasticity", 2, ""),
+    ("scan", "y", ""),
+    ("path", "maze", ""),
+    ("path", "spiral", ""),
+    ("path", "random-adaptive", ""),
+]
 COLUMNS = [
     "time_s",
     "residual_rms_nm",
@@ -87,12 +108,12 @@ def array(file):
     return shape, struct.unpack(f"<{(len(content) - start) // 8}d", content[start:])
 
 
-def pitch_mm(tif):
-    """Returns a quarter of the width of the tool at half its peak, mm: that of a disk of the same area."""
+def width_mm(tif):
+    """Returns the width of the tool at half its peak, mm: that of a disk of the same area."""
     _, rate = array(tif / "rate_nm_per_s.npy")
     steps = [x[1] - x[0] for _, x in (array(tif / f"{axis}_mm.npy") for axis in "xy")]
     area = sum(value >= 0.5 * max(rate) for value in rate) * steps[0] * steps[1]
-    return round(0.25 * math.sqrt(4 * area / math.pi), 2)
+    return math.sqrt(4 * area / math.pi)
 
 
 def definition(name):
@@ -130,16 +151,21 @@ def part(name, problem, out, log):
         return None
     settings = {"surface": folder / "surface", "tif": folder / "tif"}
     if not is_line(name):
-        settings["pitch_mm"] = pitch_mm(folder / "tif")
+        settings["pitch_mm"] = round(0.25 * width_mm(folder / "tif"), 2)
     return settings
+
+
+def pipeline_of(name, settings):
+    """Returns the pipeline of a problem, and its settings."""
+    if not is_line(name):
+        return "raster", settings
+    line = json.loads((settings["surface"].parent / "line.json").read_text())
+    return "line", line | {"machine": settings["machine"], "plan_joint": "yes"}
 
 
 def plan(name, settings, out, log):
     """Runs all methods. Returns the motions by the names of their methods, and the recommended method."""
-    path = "raster"
-    if is_line(name):
-        line = json.loads((settings["surface"].parent / "line.json").read_text())
-        path, settings = "line", line | {"machine": settings["machine"], "plan_joint": "yes"}
+    path, settings = pipeline_of(name, settings)
     plans = out / path
     run_pipeline(path, settings | {"frames": 0}, plans, log)
     machine = next(plans.glob("machine/*.json"), settings["machine"])
@@ -511,8 +537,67 @@ def print_errors(names, out):
             print(f"{name}: left out: see {log}", file=sys.stderr)
             continue
         drawn = json.loads(text)["with_errors"]
-        numbers = [mine["residual_rms_nm"], drawn["median"], drawn["p95"]]
+        numbers = [mine["residual_rms_nm"], drawn["median_nm"], drawn["below_95_percent_nm"]]
         print(f"| {name} | {mine['method']} | {' | '.join(f'{number:.4f}' for number in numbers)} |", flush=True)
+
+
+def compare_defaults(names, out, jobs, tables):
+    """Runs joint plans with other values of their settings, and writes their residuals, times and excesses.
+
+    Prints the median of each over the maps, relative to the plan with the defaults.
+    """
+    rows, ratios = [], {}
+    for name in names:
+        scored = plans_with_other_values(name, out, jobs)
+        first = scored.get("default")
+        if first is None:
+            print(f"{name}: left out: see {out / 'defaults' / name / 'log.txt'}", file=sys.stderr)
+            continue
+        for choice, one in scored.items():
+            row = [f"{one['residual_rms_nm']:.4f}", f"{one['time_s']:.1f}"]
+            rows.append([name, choice, *row, percent(one["excess"]), percent(one["excess_time"])])
+            residual, time_ratio = (one[key] / first[key] for key in ("residual_rms_nm", "time_s"))
+            excesses = [1 + (row["excess_time"] or math.inf) for row in (one, first)]
+            numbers = [residual, time_ratio, residual**2 * time_ratio**0.5, excesses[0] / excesses[1]]
+            ratios.setdefault(choice, []).append(numbers)
+        print(f"{name}: {len(scored)} plans", file=sys.stderr, flush=True)
+    columns = ["problem", "choice", "residual, nm", "time, s", "excess in residual, %", "in time, %"]
+    write_csv(tables / "benchmark-defaults.csv", columns, rows)
+    for choice, numbers in ratios.items():
+        medians = " | ".join(f"{median(column):.2f}" for column in zip(*numbers))
+        print(f"| {choice} | {len(numbers)} | {medians} |")
+
+
+def plans_with_other_values(name, out, jobs):
+    """Returns the scores of the joint plans that keep the limits, by the setting that is not the default.
+
+    A line has one pass, and no width of the tool: its other values are those without a unit.
+    """
+    folder = out / "defaults" / name
+    folder.mkdir(parents=True, exist_ok=True)
+    log, problem = folder / "log.txt", definition(name)
+    pipeline, settings = pipeline_of(name, part(name, problem, folder, log) | {"machine": FOLDER / problem["machine"]})
+    settings |= {"refine": "no", "plan_joint": "yes", "frames": 0}
+    plans = {"default": (pipeline, settings)}
+    for key, value, unit in OTHER_VALUES:
+        if is_line(name) and (unit or key in ("scan", "path")):
+            continue
+        changed = {key: value * width_mm(settings["tif"]) if unit else value}
+        plans[f"{key} {value} {unit}".strip()] = (changed.pop("path", pipeline), settings | changed)
+    with ThreadPoolExecutor(jobs) as pool:
+        runs = {
+            choice: pool.submit(run_pipeline, *plan, folder / choice.replace(" ", "-"), log)
+            for choice, plan in plans.items()
+        }
+    for choice, one in runs.items():
+        if one.exception():
+            print(f"{name}, {choice}: left out: {one.exception()}", file=sys.stderr)
+    motions = {choice: folder / choice.replace(" ", "-") / "methods/joint/trajectory" for choice in plans}
+    motions = {choice: motion for choice, motion in motions.items() if motion.exists()}
+    file = FOLDER / f"{name}.json"
+    _, text = start("planish-benchmark", "score", "--no-errors", file, *motions.values(), log=log)
+    scored = json.loads(text) if text else []
+    return {choice: row for choice, row in zip(motions, scored) if "time_s" in row}
 
 
 def problem_names():
@@ -556,6 +641,7 @@ def main():
     kind.add_argument("--scored", action="store_true", help="no runs: tables of the problems that have scores")
     kind.add_argument("--finer", action="store_true", help="order of the methods on a map with half the pitch")
     kind.add_argument("--errors", action="store_true", help="recommended plans with the errors of the process")
+    kind.add_argument("--defaults", action="store_true", help="other values of the settings, one at a time")
     arguments = parser.parse_args()
     unknown = [name for name in arguments.problems if not (FOLDER / f"{name}.json").exists()]
     if unknown:
@@ -565,6 +651,8 @@ def main():
         return compare_with_finer(names, out)
     if arguments.errors:
         return print_errors(names, out)
+    if arguments.defaults:
+        return compare_defaults(names, out, arguments.jobs, arguments.tables or out)
     if arguments.scored:
         names = [name for name in names if scores_of(out, name)]
     scored, failed = run_all(names, out, arguments.jobs)
@@ -575,6 +663,8 @@ def main():
         # The bound is (1) of its module in double precision.
         below = [row["motion"] for row in every if row["excess"] < -1e-9]
         print(f"{len(below)} of {len(every)} motions are below the bound")
+        minutes = {key: sum(one[key] for one in scored.values()) / 60 for key in ("plan_s", "score_s")}
+        print(f"{minutes['plan_s']:.0f} min of planning and {minutes['score_s']:.0f} min of scoring")
         if below:
             sys.exit(f"the bound is wrong, or the score: {below[0]}")
     sys.exit(1 if failed else 0)

@@ -25,6 +25,10 @@ const TIMES_APART: f64 = 1.02;
 /// Largest number of bounds. Larger: no change for few motions. Smaller: smaller bounds for some of many motions.
 const MOST_BOUNDS: usize = 5;
 
+/// Ratio of the time of a motion to the time that its residual needs, up to which a bound at its time says something.
+/// Larger: bounds that cost a minute on a small map, of nearly zero. Smaller: smaller bounds.
+const LONG: f64 = 2.0;
+
 /// Bounds at some times.
 pub struct Front {
     desired_rms_nm: f64,
@@ -33,8 +37,8 @@ pub struct Front {
 }
 
 impl Front {
-    /// Finds bounds at the times at which (1) is widest for these motions: the time, s, and the residual RMS, nm, of
-    /// each. Motions that another beats in both come last.
+    /// Finds bounds where (1) is widest for these motions: the time, s, and the residual RMS, nm, of each. Motions that
+    /// another beats in both come last, and for each motion its residual comes before its time.
     pub fn new(desired: &Surface, tif: &Tif, motions: &[[f64; 2]]) -> Result<Self, DwellError> {
         let mut front = Self { desired_rms_nm: desired.statistics().rms, bounds: Vec::new() };
         if motions.is_empty() {
@@ -43,9 +47,11 @@ impl Front {
         let problem = BoundProblem::new(desired, tif)?;
         let best: Vec<[f64; 2]> = pareto::front(motions).into_iter().map(|i| motions[i]).collect();
         for _ in 0..MOST_BOUNDS {
-            let Some(time_s) = front.widest(&best).or_else(|| front.widest(motions)) else { break };
-            let next = front.bounds.partition_point(|bound| bound.time_s < time_s);
-            front.bounds.insert(next, problem.at_time(time_s));
+            let next = front.widest_at_residuals(&best).or_else(|| front.widest_at_times(&best));
+            let next = next.or_else(|| front.widest_at_residuals(motions));
+            let Some(time_s) = next.or_else(|| front.widest_at_times(motions)) else { break };
+            let place = front.bounds.partition_point(|bound| bound.time_s < time_s);
+            front.bounds.insert(place, problem.at_time(time_s));
         }
         Ok(front)
     }
@@ -91,17 +97,35 @@ impl Front {
         time_s
     }
 
-    /// Returns the time, s, at which (1) is widest for a motion; `None` if it is narrow for all of them.
-    fn widest(&self, motions: &[[f64; 2]]) -> Option<f64> {
-        let mut widest = (NARROW, None);
-        for &[time_s, rms_nm] in motions {
-            let ends = [self.bound_rms_nm(time_s), self.reached_rms_nm(time_s)];
+    /// Returns the middle of the times, s, between which (1) has the least time for the residual of a motion, where
+    /// they are widest; `None` if they are narrow for all motions.
+    fn widest_at_residuals(&self, motions: &[[f64; 2]]) -> Option<f64> {
+        self.widest(motions.iter().map(|&[time_s, rms_nm]| {
             let times = [self.bound_time_s(rms_nm), self.reached_time_s(rms_nm, time_s)];
-            for (time_s, [low, high]) in [(time_s, ends), (0.5 * (times[0] + times[1]), times)] {
-                let width = high / low - 1.0;
-                if width > widest.0 && !self.has_bound_near(time_s) {
-                    widest = (width, Some(time_s));
-                }
+            (0.5 * (times[0] + times[1]), times)
+        }))
+    }
+
+    /// Returns the time, s, of the motion at whose time (1) is widest; `None` if it is narrow for all motions. A motion
+    /// of more than [`LONG`] times the time that its residual needs has no bound at its time: it would be nearly zero.
+    fn widest_at_times(&self, motions: &[[f64; 2]]) -> Option<f64> {
+        let short = motions
+            .iter()
+            .filter(|[time_s, rms_nm]| *time_s <= LONG * self.reached_time_s(*rms_nm, *time_s));
+        self.widest(
+            short.map(|&[time_s, _]| {
+                (time_s, [self.bound_rms_nm(time_s), self.reached_rms_nm(time_s)])
+            }),
+        )
+    }
+
+    /// Returns the time, s, with the widest interval [low, high]; `None` if all are narrow or have a bound near them.
+    fn widest(&self, intervals: impl Iterator<Item = (f64, [f64; 2])>) -> Option<f64> {
+        let mut widest = (NARROW, None);
+        for (time_s, [low, high]) in intervals {
+            let width = high / low - 1.0;
+            if width > widest.0 && !self.has_bound_near(time_s) {
+                widest = (width, Some(time_s));
             }
         }
         widest.1
