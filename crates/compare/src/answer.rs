@@ -325,7 +325,8 @@ fn reason(summary: &Summary, name: &str, m: &MethodResult, program: Option<&str>
     } else {
         let more_percent = 100.0 * (mine.rms_nm / rival.rms_nm - 1.0);
         format!(
-            "it takes {my_time} and leaves {} % more than the least RMS of the {plans} plans that keep the limits, {theirs}",
+            "it takes {my_time} and leaves {} % more than the least RMS of the {plans} plans that keep the limits, \
+             {theirs}; one percent of the time counts as half a percent of the mean square",
             significant(more_percent, 2)
         )
     }

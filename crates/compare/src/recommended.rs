@@ -1,8 +1,7 @@
 //! Choice of the plan of a run that is to be executed.
 //!
 //! Only a motion within the limits of the machine can be chosen. If some of these keep the specification of the
-//! mirror, only those can. Among them, plans whose RMS is at most 5 % above the least differ by less than the errors
-//! of a process add, so their time counts. The plan with the least
+//! mirror, only those can. Among them, the plan with the least
 //!
 //! ```text
 //! RMS^2 T^(1/2)                                                                             (1)
@@ -10,11 +9,6 @@
 //!
 //! is recommended. One percent more time is taken if it lowers the mean square by at least half a percent, as in
 //! `planish joint` by default.
-
-/// Largest excess of the RMS of a recommended plan over the smallest RMS, relative to the smallest. Larger: shorter
-/// runs with a larger residual. Smaller: the plan of the smallest RMS whatever its time. Chosen: less than the errors
-/// of a process add.
-const NEGLIGIBLE_RMS: f64 = 0.05;
 
 /// Exponent of the time in (1) of the module, dimensionless: percentage by which one percent more time must lower the
 /// mean square. Larger: shorter runs. Smaller: a smaller residual. Chosen: the default of `planish joint`.
@@ -43,9 +37,5 @@ impl Candidate {
 pub fn recommended<T: Copy>(candidates: &[(T, Candidate)]) -> Option<T> {
     let some_keep = candidates.iter().any(|(_, c)| c.keeps_specification);
     let eligible = candidates.iter().filter(|(_, c)| c.keeps_specification || !some_keep);
-    let least_nm = eligible.clone().map(|(_, c)| c.rms_nm).reduce(f64::min)?;
-    eligible
-        .filter(|(_, c)| c.rms_nm <= (1.0 + NEGLIGIBLE_RMS) * least_nm)
-        .min_by(|(_, a), (_, b)| a.cost().total_cmp(&b.cost()))
-        .map(|(plan, _)| *plan)
+    eligible.min_by(|(_, a), (_, b)| a.cost().total_cmp(&b.cost())).map(|(plan, _)| *plan)
 }

@@ -781,13 +781,13 @@ mod tests {
         let summary = summary_of(methods);
         assert_eq!(summary.best.as_deref(), Some("constant-acceleration"));
         assert!(summary.reserves().is_empty());
-        // Time counts among plans within 5 % of the least RMS: 2 % of RMS are 4 % of its square, which 8 % of time are
-        // worth; beyond 5 % it does not count, however short it is.
+        // 2 % of RMS are 4 % of its square, which 8 % of time are worth; twice the square is worth four times the time.
         let timed = |rms_nm, total_time_s| MethodResult { total_time_s, ..with(rms_nm, true) };
         for (rms_nm, total_time_s, expected) in [
             (0.204, 91.0, "joint"),
             (0.204, 94.0, "pvt"),
-            (0.211, 1.0, "pvt"),
+            (0.28, 25.0, "joint"),
+            (0.285, 25.0, "pvt"),
             (0.2, 99.0, "joint"),
         ] {
             let other = ("joint".to_string(), timed(rms_nm, total_time_s));

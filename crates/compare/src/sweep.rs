@@ -296,7 +296,7 @@ mod tests {
     #[test]
     fn what_is_recommended_is_what_the_report_of_a_run_would_recommend() {
         // 3 % more for a tenth of the time: RMS^2 T^(1/2) is least for the second.
-        let plans = [(100.0, 1.0, true), (10.0, 1.03, true), (1.0, 1.2, true)];
+        let plans = [(100.0, 1.0, true), (10.0, 1.03, true), (1.0, 3.0, true)];
         let swept = table(&plans, None);
         assert_eq!(swept.recommended(), Some(1));
         let sentence = swept.sentence();
