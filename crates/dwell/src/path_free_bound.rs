@@ -29,7 +29,10 @@
 //! 2. `highest`: q over the plane, between the nodes of every lattice, too. It gives (1).
 //! 3. The multipliers of the constraints are dwell times at their places. Their residual is the *reached* residual: a
 //!    plan that could stand at these places would leave it.
-//! 4. Where the bound is not near that, the part of K m that the splines miss joins them, and the rounds go on.
+//! 4. `alternating`: where the bound is not near that, another e and other dwell times without splines. The larger bound
+//!    and the smaller residual count.
+//! 5. Where the two still differ, the map by which the splines miss the better residual joins them, and the rounds go
+//!    on.
 //!
 //! The gap between the reached residual and the bound says how good both are: the least residual on any path is
 //! between them. The bound is for the tool on the lattice of the map ([`planish_types::TifLattice`]), which is the tool
@@ -42,6 +45,7 @@
 //! | m | `dwell_s` | (places along y, along x) | s |
 //! | q, nu, Lambda | `value`, `price` | | nm^2/s times pixels |
 
+mod alternating;
 mod highest;
 mod interior_point;
 mod splines;
@@ -57,6 +61,7 @@ use planish_types::{
 use serde::Serialize;
 
 use crate::DwellError;
+use alternating::Directions;
 use highest::{Highest, highest};
 use splines::{Constraints, Splines};
 use tool::{LatticeTool, PartPixels, Place, product, squares};
@@ -64,6 +69,13 @@ use tool::{LatticeTool, PartPixels, Place, product, squares};
 /// Distances of the splines relative to the length of the flanks of the tool: those that find the constraints, and
 /// those of the bound. Larger: a smaller bound. Smaller: time that grows with its fourth power.
 const PITCHES_OF_SPLINES: [f64; 2] = [0.75, 0.45];
+
+/// Distance of the places relative to the length of the flanks of the tool. Larger: dwell times between the places are
+/// missed, and the best residual on the places is larger. Smaller: more memory and time.
+const PITCH_OF_PLACES: f64 = 1.0 / 40.0;
+
+/// The same for the places of alternating directions.
+const PITCH_OF_DIRECTIONS: f64 = 1.0 / 8.0;
 
 /// Distance of an adjoint from the price, relative to that of the lowest adjoint, up to which a constraint stays when
 /// the splines become finer. Smaller: more rounds. Larger: more time for each.
@@ -85,9 +97,12 @@ const SMALL_LOSS: f64 = 1e-3;
 /// splines. Larger: a smaller bound, by a quarter of the last one. Smaller: more steps.
 const COMPLEMENTARITY: [f64; 2] = [5e-3, 1e-3];
 
+/// Gap at which a bound needs no other way. Larger: a smaller bound. Smaller: more time.
+const SMALL_GAP: f64 = 0.01;
+
 /// Gaps at which rounds with the map that the splines miss follow. Smaller gaps: more time for a gain of a few 0.1 %.
 /// Larger gaps: more time where one map is not enough.
-const WORTH_ANOTHER: RangeInclusive<f64> = 0.01..=0.2;
+const WORTH_ANOTHER: RangeInclusive<f64> = SMALL_GAP..=0.2;
 
 /// Time that a run may take, or the price of it.
 #[derive(Clone, Copy, Debug, PartialEq)]
@@ -99,12 +114,40 @@ enum Budget {
 }
 
 impl Budget {
-    /// Returns the total time, s, of these dwell times.
-    fn time_s(self, dwell_s: &Array1<f64>) -> f64 {
+    /// Returns the time, s, of a run whose dwell times have this sum, s.
+    fn time_s(self, dwell_s: f64) -> f64 {
         match self {
             Self::TimeS(time_s) => time_s,
-            Self::Price(_) => dwell_s.sum(),
+            Self::Price(_) => dwell_s,
         }
+    }
+
+    /// Returns the dwell times, s, nearest to these numbers that are not negative and keep the budget. A price is that
+    /// of a second relative to half the sum of the squares of the differences times `weight`.
+    fn nearest_s(self, mut dwell_s: Array2<f64>, weight: f64) -> Array2<f64> {
+        let less_s = match self {
+            Self::Price(price) => price / weight,
+            Self::TimeS(time_s) => excess_s(&dwell_s, time_s),
+        };
+        dwell_s.mapv_inplace(|t| (t - less_s).max(0.0));
+        dwell_s
+    }
+}
+
+/// Returns the time, s, by which all dwell times have to fall so that those above 0 have the sum `time_s`; 0 if it is
+/// smaller already.
+///
+/// Source: C. Michelot, J. Optim. Theory Appl. 50 (1986) 195.
+fn excess_s(dwell_s: &Array2<f64>, time_s: f64) -> f64 {
+    let mut above: Vec<f64> = dwell_s.iter().copied().filter(|t| *t > 0.0).collect();
+    let mut less_s = 0.0;
+    loop {
+        let excess = (above.iter().sum::<f64>() - time_s) / above.len() as f64;
+        if above.is_empty() || excess <= less_s {
+            return less_s;
+        }
+        less_s = excess;
+        above.retain(|t| *t > less_s);
     }
 }
 
@@ -190,7 +233,7 @@ impl BoundProblem {
         let grid = *desired.grid();
         let OnLattice { tif, lattice } = tif.on_lattice_of(&grid, PARTS_TOLERANCE)?;
         let part = PartPixels::new(desired);
-        let tool = LatticeTool::new(&tif, &grid);
+        let tool = LatticeTool::new(&tif, &grid, PITCH_OF_PLACES);
         let splines = PITCHES_OF_SPLINES.map(|pitch| Splines::new(&part, &tool, pitch));
         let adjoints = tool.adjoints(&part.desired_nm);
         let every = tool.apart(PITCH_OF_CONSTRAINTS);
@@ -223,20 +266,36 @@ impl BoundProblem {
     /// Returns the bound for a budget.
     fn bound(&self, budget: Budget) -> PathFreeBound {
         let first = self.by_splines(budget);
-        let left_nm = self.left_nm(&first);
-        let bound = self.of_round(&first, &left_nm, budget);
+        let mut best_nm = self.left_nm(&first);
+        let mut bound = self.of_round(&first, &best_nm, budget);
+        if bound.gap > SMALL_GAP {
+            let (by_directions, residual_nm) = self.by_directions(budget);
+            if by_directions.gap < bound.gap {
+                best_nm = residual_nm;
+            }
+            bound = better(bound, by_directions);
+        }
         if self.splines[1].are_pixels() || !WORTH_ANOTHER.contains(&bound.gap) {
             return bound;
         }
-        let splines = self.splines[1].with(&first.residual_nm - &left_nm, &self.part);
+        let splines = self.splines[1].with(&first.residual_nm - &best_nm, &self.part);
         let second = self.rounds(&splines, first.places, budget);
-        let better = self.of_round(&second, &self.left_nm(&second), budget);
-        if better.bound_rms_nm > bound.bound_rms_nm { better } else { bound }
+        better(bound, self.of_round(&second, &self.left_nm(&second), budget))
+    }
+
+    /// Returns the bound by alternating directions, and its map e (ny, nx), nm.
+    fn by_directions(&self, budget: Budget) -> (PathFreeBound, Array2<f64>) {
+        let tool = LatticeTool::new(&self.tif, &self.grid, PITCH_OF_DIRECTIONS);
+        let Directions { residual_nm, dwell_s } = alternating::solve(&self.part, &tool, budget);
+        let time_s = budget.time_s(dwell_s.sum());
+        let left_nm = self.part.residual_nm(tool.removal_nm(&[dwell_s]));
+        let highest = highest(&residual_nm, &self.tif, &self.grid);
+        (self.by_map(&residual_nm, highest, self.part.rms(&left_nm), time_s), residual_nm)
     }
 
     /// Returns the bound by the residual of a round, whose dwell times leave `left_nm`.
     fn of_round(&self, round: &Round, left_nm: &Array2<f64>, budget: Budget) -> PathFreeBound {
-        let time_s = budget.time_s(&round.dwell_s);
+        let time_s = budget.time_s(round.dwell_s.sum());
         let highest = highest(&round.residual_nm, &self.tif, &self.grid);
         self.by_map(&round.residual_nm, highest, self.part.rms(left_nm), time_s)
     }
@@ -271,7 +330,7 @@ impl BoundProblem {
             time_s,
             bound_rms_nm,
             reached_rms_nm,
-            gap: if reached_rms_nm > 0.0 { 1.0 - bound_rms_nm / reached_rms_nm } else { 0.0 },
+            gap: gap(bound_rms_nm, reached_rms_nm),
             bound_slope_nm_per_s,
             time_weight_nm2_per_s: value / self.part.pixels,
             place_mm,
@@ -329,7 +388,7 @@ impl BoundProblem {
         let price = at_places.fold(0.0, f64::max);
         let highest = adjoints.iter().flatten().copied().fold(0.0, f64::max);
         let dwell_s = solution.dwell_s;
-        let time_s = budget.time_s(&dwell_s);
+        let time_s = budget.time_s(dwell_s.sum());
         // e'z - T price is nearly |e|^2: what is left of (1) without the excess of the highest adjoint over the price.
         let loss = time_s * (highest - price).max(0.0) / squares(&residual_nm);
         Round { residual_nm, adjoints, price, loss, places, dwell_s }
@@ -390,6 +449,21 @@ struct Round {
     places: Vec<Place>,
     /// Multipliers of the constraints, s.
     dwell_s: Array1<f64>,
+}
+
+/// Returns the better of two bounds for the same budget: for a time, with the smaller of the reached residuals.
+fn better(a: PathFreeBound, b: PathFreeBound) -> PathFreeBound {
+    if a.time_s != b.time_s {
+        return if b.gap < a.gap { b } else { a };
+    }
+    let reached_rms_nm = a.reached_rms_nm.min(b.reached_rms_nm);
+    let larger = if b.bound_rms_nm > a.bound_rms_nm { b } else { a };
+    PathFreeBound { reached_rms_nm, gap: gap(larger.bound_rms_nm, reached_rms_nm), ..larger }
+}
+
+/// Returns the gap between a bound and the residual that is reached, relative to the latter.
+fn gap(bound_rms_nm: f64, reached_rms_nm: f64) -> f64 {
+    if reached_rms_nm > 0.0 { 1.0 - bound_rms_nm / reached_rms_nm } else { 0.0 }
 }
 
 /// Returns true if no neighbour of an element of a map is larger than its value.

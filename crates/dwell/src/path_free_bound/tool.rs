@@ -2,15 +2,11 @@
 
 use std::ops::Range;
 
-use ndarray::{Array2, Zip, s};
+use ndarray::{Array2, ArrayViewMut2, Zip, s};
 use planish_numerics::fft::convolution::Convolution;
 use planish_types::{Grid, Surface, Tif};
 
 use super::highest::{flanks_mm, upsampled};
-
-/// Distance of the places relative to the length of the flanks of the tool. Larger: dwell times between the places are
-/// missed, and the best residual on the places is larger. Smaller: more memory and time.
-const PITCH_OF_PLACES: f64 = 1.0 / 40.0;
 
 /// Largest rate at the edge of a tool, relative to its peak, that is no step. Larger: less work for more tools, and a
 /// smaller bound for them. Smaller: nine times the adjoint products for more tools.
@@ -94,14 +90,14 @@ pub struct Place {
 }
 
 impl LatticeTool {
-    /// Makes the tool on a map on `grid`.
-    pub fn new(tif: &Tif, grid: &Grid) -> Self {
+    /// Makes the tool on a map on `grid`, with places at most `pitch` times the flanks of the tool apart.
+    pub fn new(tif: &Tif, grid: &Grid, pitch: f64) -> Self {
         let flanks_mm = flanks_mm(tif);
         let axes = [(0, &grid.x, &tif.grid().x), (1, &grid.y, &tif.grid().y)];
         let flanks = axes.map(|(axis, map, _)| flanks_mm[axis] / map.step_mm());
         // Nodes of the lattice for each step of the TIF: every sample of it is at a node, whatever the rounding.
         let nodes = axes.map(|(axis, _, samples)| {
-            (samples.step_mm() / (PITCH_OF_PLACES * flanks_mm[axis])).ceil().max(1.0)
+            (samples.step_mm() / (pitch * flanks_mm[axis])).ceil().max(1.0)
         });
         let parts = axes.map(|(axis, map, samples)| {
             ((map.step_mm() / samples.step_mm()).round() * nodes[axis]) as usize
@@ -142,6 +138,24 @@ impl LatticeTool {
     pub fn apart(&self, fraction: f64) -> [usize; 2] {
         [0, 1]
             .map(|axis| ((fraction * self.flanks[axis] * self.parts[axis] as f64) as usize).max(1))
+    }
+
+    /// Returns the number of places along y and along x.
+    pub fn places(&self, part: &PartPixels) -> (usize, usize) {
+        places(part.valid.dim(), self.parts, self.samples())
+    }
+
+    /// Returns the pixels (ny, nx) of a map on the lattice that begins with the places.
+    pub fn pixels_of<'a>(
+        &self,
+        lattice: &'a mut Array2<f64>,
+        part: &PartPixels,
+    ) -> ArrayViewMut2<'a, f64> {
+        let (ny, nx) = part.valid.dim();
+        let [px, py] = self.parts;
+        let (ky, kx) = self.samples().dim();
+        let [rows, columns] = [ky - 1..ky + (ny - 1) * py, kx - 1..kx + (nx - 1) * px];
+        lattice.slice_mut(s![rows; py, columns; px])
     }
 
     /// Returns the removal (ny, nx), nm, by the dwell times at all places, s, of every limit.
