@@ -13,7 +13,6 @@ use planish_dwell::{
     DwellError,
     path_free_bound::{BoundProblem, PathFreeBound},
 };
-use planish_numerics::pareto;
 use planish_types::{Surface, Tif};
 
 /// Width of (1), relative to its lower end, that is narrow enough at a motion. Larger: smaller bounds. Smaller: time.
@@ -37,21 +36,23 @@ pub struct Front {
 }
 
 impl Front {
-    /// Finds bounds where (1) is widest for these motions: the time, s, and the residual RMS, nm, of each. Motions that
-    /// another beats in both come last, and for each motion its residual comes before its time.
+    /// Finds bounds for these motions: the time, s, and the residual RMS, nm, of each. Those of the least RMS^2 T^(1/2)
+    /// come first.
     pub fn new(desired: &Surface, tif: &Tif, motions: &[[f64; 2]]) -> Result<Self, DwellError> {
         let mut front = Self { desired_rms_nm: desired.statistics().rms, bounds: Vec::new() };
         if motions.is_empty() {
             return Ok(front);
         }
         let problem = BoundProblem::new(desired, tif)?;
-        let best: Vec<[f64; 2]> = pareto::front(motions).into_iter().map(|i| motions[i]).collect();
-        for _ in 0..MOST_BOUNDS {
-            let next = front.widest_at_residuals(&best).or_else(|| front.widest_at_times(&best));
-            let next = next.or_else(|| front.widest_at_residuals(motions));
-            let Some(time_s) = next.or_else(|| front.widest_at_times(motions)) else { break };
-            let place = front.bounds.partition_point(|bound| bound.time_s < time_s);
-            front.bounds.insert(place, problem.at_time(time_s));
+        let mut ordered = motions.to_vec();
+        ordered.sort_by(|a, b| cost(*a).total_cmp(&cost(*b)));
+        for motion in ordered {
+            while front.bounds.len() < MOST_BOUNDS
+                && let Some(time_s) = front.widest(motion)
+            {
+                let place = front.bounds.partition_point(|bound| bound.time_s < time_s);
+                front.bounds.insert(place, problem.at_time(time_s));
+            }
         }
         Ok(front)
     }
@@ -97,35 +98,17 @@ impl Front {
         time_s
     }
 
-    /// Returns the middle of the times, s, between which (1) has the least time for the residual of a motion, where
-    /// they are widest; `None` if they are narrow for all motions.
-    fn widest_at_residuals(&self, motions: &[[f64; 2]]) -> Option<f64> {
-        self.widest(motions.iter().map(|&[time_s, rms_nm]| {
-            let times = [self.bound_time_s(rms_nm), self.reached_time_s(rms_nm, time_s)];
-            (0.5 * (times[0] + times[1]), times)
-        }))
-    }
-
-    /// Returns the time, s, of the motion at whose time (1) is widest; `None` if it is narrow for all motions. A motion
-    /// of more than [`LONG`] times the time that its residual needs has no bound at its time: it would be nearly zero.
-    fn widest_at_times(&self, motions: &[[f64; 2]]) -> Option<f64> {
-        let short = motions
-            .iter()
-            .filter(|[time_s, rms_nm]| *time_s <= LONG * self.reached_time_s(*rms_nm, *time_s));
-        self.widest(
-            short.map(|&[time_s, _]| {
-                (time_s, [self.bound_rms_nm(time_s), self.reached_rms_nm(time_s)])
-            }),
-        )
-    }
-
-    /// Returns the time, s, with the widest interval [low, high]; `None` if all are narrow or have a bound near them.
-    fn widest(&self, intervals: impl Iterator<Item = (f64, [f64; 2])>) -> Option<f64> {
+    /// Returns the time, s, at which (1) is widest for a motion: at its residual, or at its time. `None` if it is narrow.
+    /// A motion of more than [`LONG`] times the time that its residual needs has no bound at its time: it would be
+    /// nearly zero.
+    fn widest(&self, [time_s, rms_nm]: [f64; 2]) -> Option<f64> {
+        let times = [self.bound_time_s(rms_nm), self.reached_time_s(rms_nm, time_s)];
+        let residuals = [self.bound_rms_nm(time_s), self.reached_rms_nm(time_s)];
         let mut widest = (NARROW, None);
-        for (time_s, [low, high]) in intervals {
+        for (at_s, [low, high]) in [(0.5 * (times[0] + times[1]), times), (time_s, residuals)] {
             let width = high / low - 1.0;
-            if width > widest.0 && !self.has_bound_near(time_s) {
-                widest = (width, Some(time_s));
+            if width > widest.0 && at_s <= LONG * times[1] && !self.has_bound_near(at_s) {
+                widest = (width, Some(at_s));
             }
         }
         widest.1
@@ -135,4 +118,9 @@ impl Front {
         let mut ratios = self.bounds.iter().map(|bound| bound.time_s / time_s);
         ratios.any(|ratio| ratio.max(ratio.recip()) < TIMES_APART)
     }
+}
+
+/// Returns RMS^2 T^(1/2) of a motion, nm^2 s^(1/2).
+fn cost([time_s, rms_nm]: [f64; 2]) -> f64 {
+    rms_nm * rms_nm * time_s.sqrt()
 }
