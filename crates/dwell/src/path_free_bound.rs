@@ -30,7 +30,7 @@
 //! 3. The multipliers of the constraints are dwell times at their places. Their residual is the *reached* residual: a
 //!    plan that could stand at these places would leave it.
 //! 4. `alternating`: where the bound is not near that, another e and other dwell times without splines. The larger bound
-//!    and the smaller residual count.
+//!    and the smaller residual count. Splines that are the pixels miss nothing, and need no other way.
 //! 5. Where the two still differ, the map by which the splines miss the better residual joins them, and the rounds go
 //!    on.
 //!
@@ -88,6 +88,14 @@ const PITCH_OF_CONSTRAINTS: f64 = 0.5;
 /// Largest number of rounds with the fine splines, each with constraints at the highest places of the round before.
 /// Larger: a larger bound. Smaller: less time.
 const MAX_ROUNDS: usize = 14;
+
+/// Number of rounds with the fine splines after which the constraints that are not used go. Larger: less time for each
+/// round, and constraints that go and come back. Smaller: more time.
+const ROUNDS_THAT_DROP: usize = 4;
+
+/// Multiplier relative to the mean one below which a constraint is not used. Larger: more rounds. Smaller: more time for
+/// each.
+const UNUSED: f64 = 0.01;
 
 /// Part of the bound that the places which are no constraints take from it, at which the rounds end. Larger: a smaller
 /// bound. Smaller: more rounds.
@@ -268,6 +276,9 @@ impl BoundProblem {
         let first = self.by_splines(budget);
         let mut best_nm = self.left_nm(&first);
         let mut bound = self.of_round(&first, &best_nm, budget);
+        if self.splines[1].are_pixels() {
+            return bound;
+        }
         if bound.gap > SMALL_GAP {
             let (by_directions, residual_nm) = self.by_directions(budget);
             if by_directions.gap < bound.gap {
@@ -275,7 +286,7 @@ impl BoundProblem {
             }
             bound = better(bound, by_directions);
         }
-        if self.splines[1].are_pixels() || !WORTH_ANOTHER.contains(&bound.gap) {
+        if !WORTH_ANOTHER.contains(&bound.gap) {
             return bound;
         }
         let splines = self.splines[1].with(&first.residual_nm - &best_nm, &self.part);
@@ -359,6 +370,9 @@ impl BoundProblem {
                 return round;
             }
             progress::done(number as f64 / MAX_ROUNDS as f64);
+            if number <= ROUNDS_THAT_DROP {
+                constraints = constraints.used(&round.dwell_s, UNUSED);
+            }
             let new = self.highest_places(&round, number, &constraints.places);
             constraints.add(&new, splines, (&self.part, &self.tool), &self.adjoints);
             number += 1;

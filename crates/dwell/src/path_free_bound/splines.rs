@@ -319,19 +319,39 @@ impl Constraints {
         (part, tool): (&PartPixels, &LatticeTool),
         desired: &[Array2<f64>],
     ) {
-        let before = self.columns.len();
         let columns = parallel::map(places.len(), &|k| splines.column(places[k], part, tool));
-        for (k, runs) in columns.iter().enumerate() {
-            for run in runs {
-                for (l, v) in (run.first..).zip(&run.values).filter(|(_, v)| **v != 0.0) {
-                    self.rows[l].push((before + k, *v));
-                }
-            }
+        for (place, runs) in places.iter().zip(columns) {
+            self.push(*place, runs);
         }
-        self.columns.extend(columns);
         let more = places.iter().map(|place| desired[place.limit][place.index]);
         self.desired = self.desired.iter().copied().chain(more).collect();
-        self.places.extend(places);
+    }
+
+    /// Adds a constraint with its column of V, and without its element of q_z.
+    fn push(&mut self, place: Place, runs: Vec<Run>) {
+        for run in &runs {
+            for (l, v) in (run.first..).zip(&run.values).filter(|(_, v)| **v != 0.0) {
+                self.rows[l].push((self.columns.len(), *v));
+            }
+        }
+        self.columns.push(runs);
+        self.places.push(place);
+    }
+
+    /// Returns the constraints with these multipliers, s, that are at least `part` of the mean one.
+    pub fn used(&self, dwell_s: &Array1<f64>, part: f64) -> Self {
+        let least_s = part * dwell_s.sum() / dwell_s.len() as f64;
+        let kept: Vec<usize> = (0..dwell_s.len()).filter(|k| dwell_s[*k] >= least_s).collect();
+        let mut used = Self {
+            places: Vec::new(),
+            columns: Vec::new(),
+            rows: vec![Vec::new(); self.rows.len()],
+            desired: self.desired.select(Axis(0), &kept),
+        };
+        for k in kept {
+            used.push(self.places[k], self.columns[k].clone());
+        }
+        used
     }
 
     /// Returns `V'a` at the constraints.
