@@ -67,6 +67,8 @@ OTHER_VALUES = [
     ("path", "spiral", ""),
     ("path", "random-adaptive", ""),
 ]
+# Name of the choice of a machine whose limits are 100 times as large.
+FAST = "limits times 100"
 COLUMNS = [
     "time_s",
     "residual_rms_nm",
@@ -588,6 +590,8 @@ def plans_with_other_values(name, out, jobs):
             continue
         changed = {key: value * width_mm(settings["tif"]) if unit else value}
         plans[f"{key} {value} {unit}".strip()] = (changed.pop("path", pipeline), settings | changed)
+    fast_problem = problem_with_fast_machine(problem, folder)
+    plans[FAST] = (pipeline, settings | {"machine": folder / "machine.json"})
     with ThreadPoolExecutor(jobs) as pool:
         runs = {
             choice: pool.submit(run_pipeline, *plan, folder / choice.replace(" ", "-"), log)
@@ -598,8 +602,32 @@ def plans_with_other_values(name, out, jobs):
             print(f"{name}, {choice}: left out: {one.exception()}", file=sys.stderr)
     motions = {choice: folder / choice.replace(" ", "-") / "methods/joint/trajectory" for choice in plans}
     motions = {choice: motion for choice, motion in motions.items() if motion.exists()}
-    file = FOLDER / f"{name}.json"
-    _, text = start("planish-benchmark", "score", "--no-errors", file, *motions.values(), log=log)
+    fast = {choice: motions.pop(choice) for choice in [FAST] if choice in motions}
+    return joint_scores(FOLDER / f"{name}.json", motions, log) | joint_scores(fast_problem, fast, log)
+
+
+def problem_with_fast_machine(problem, folder):
+    """Writes the problem with a machine whose limits are 100 times as large, and returns its file.
+
+    Its plan shows which part of an excess the limits cause: the rest is that of the path.
+    """
+    machine = json.loads((FOLDER / problem["machine"]).read_text())
+    for axis in machine["axes"]:
+        axis |= {key: 100 * value for key, value in axis.items() if key.startswith("max_")}
+    (folder / "machine.json").write_text(json.dumps(machine))
+    files = {key: str(FOLDER / problem[key]) for key in ("recipe", "error_budget") if key in problem}
+    if "measured" in problem:
+        files["measured"] = problem["measured"] | {"folder": str(measured_folder(problem))}
+    file = folder / "problem.json"
+    file.write_text(json.dumps(problem | files | {"machine": str(folder / "machine.json")}))
+    return file
+
+
+def joint_scores(problem_file, motions, log):
+    """Returns the scores of the motions that keep the limits, by their choices."""
+    if not motions:
+        return {}
+    _, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
     scored = json.loads(text) if text else []
     return {choice: row for choice, row in zip(motions, scored) if "time_s" in row}
 

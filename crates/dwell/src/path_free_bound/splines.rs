@@ -14,6 +14,7 @@ use ndarray::{Array1, Array2, ArrayView2, Axis, s};
 use planish_numerics::{
     linear::skyline::{Skyline, axpy, dot},
     parallel,
+    vectors::vectorised,
 };
 
 use super::tool::{LatticeTool, PartPixels, Place, Window, product, squares};
@@ -53,15 +54,20 @@ pub struct Splines {
 /// The matrices of (2) of the module at some constraints.
 #[derive(Clone)]
 pub struct Constraints {
+    /// The number of splines.
+    splines: usize,
     /// The places.
     pub places: Vec<Place>,
     /// Columns of V, nm/s: for every constraint its splines in runs of neighbouring numbers.
     columns: Vec<Vec<Run>>,
-    /// Rows of V: for every spline its constraints with the elements.
-    rows: Vec<Vec<(usize, f64)>>,
+    /// Rows of V: for [`TOGETHER`] neighbouring splines the constraints that any of them has, with their elements.
+    rows: Vec<Vec<(usize, [f64; TOGETHER])>>,
     /// q_z.
     pub desired: Array1<f64>,
 }
+
+/// Splines whose rows of (G + V D V') are summed together, so that a column of V is read once for all of them.
+const TOGETHER: usize = 8;
 
 /// Values on neighbouring pixels of one axis.
 #[derive(Clone)]
@@ -212,9 +218,10 @@ impl Splines {
     /// Returns the matrices without any constraint.
     pub fn unconstrained(&self) -> Constraints {
         Constraints {
+            splines: self.sums.len(),
             places: Vec::new(),
             columns: Vec::new(),
-            rows: vec![Vec::new(); self.sums.len()],
+            rows: vec![Vec::new(); self.sums.len().div_ceil(TOGETHER)],
             desired: Array1::zeros(0),
         }
     }
@@ -329,9 +336,14 @@ impl Constraints {
 
     /// Adds a constraint with its column of V, and without its element of q_z.
     fn push(&mut self, place: Place, runs: Vec<Run>) {
+        let k = self.columns.len();
         for run in &runs {
             for (l, v) in (run.first..).zip(&run.values).filter(|(_, v)| **v != 0.0) {
-                self.rows[l].push((self.columns.len(), *v));
+                let rows = &mut self.rows[l / TOGETHER];
+                if rows.last().is_none_or(|(last, _)| *last != k) {
+                    rows.push((k, [0.0; TOGETHER]));
+                }
+                rows.last_mut().expect("a constraint").1[l % TOGETHER] = *v;
             }
         }
         self.columns.push(runs);
@@ -343,6 +355,7 @@ impl Constraints {
         let least_s = part * dwell_s.sum() / dwell_s.len() as f64;
         let kept: Vec<usize> = (0..dwell_s.len()).filter(|k| dwell_s[*k] >= least_s).collect();
         let mut used = Self {
+            splines: self.splines,
             places: Vec::new(),
             columns: Vec::new(),
             rows: vec![Vec::new(); self.rows.len()],
@@ -364,23 +377,48 @@ impl Constraints {
 
     /// Returns `V m` for numbers m at the constraints.
     pub fn along(&self, m: &Array1<f64>) -> Vec<f64> {
-        parallel::map(self.rows.len(), &|l| self.rows[l].iter().map(|(k, v)| v * m[*k]).sum())
+        let sums = parallel::map(self.rows.len(), &|rows| {
+            let mut sums = [0.0; TOGETHER];
+            for (k, elements) in &self.rows[rows] {
+                axpy(m[*k], elements, &mut sums);
+            }
+            sums
+        });
+        sums.into_iter().flatten().take(self.splines).collect()
     }
 
     /// Returns `G + V D V'`, with the diagonal D at the constraints.
     pub fn normal(&self, gram: &Skyline, d: &Array1<f64>) -> Skyline {
         let mut normal = gram.clone();
-        let from: Vec<usize> = (0..normal.len()).map(|l| normal.first(l)).collect();
-        normal.fill(|l, row| {
-            for (k, v) in &self.rows[l] {
-                for run in self.columns[*k].iter().take_while(|run| run.first <= l) {
-                    let count = run.values.len().min(l + 1 - run.first);
-                    let start = run.first - from[l];
-                    axpy(d[*k] * v, &run.values[..count], &mut row[start..start + count]);
-                }
-            }
+        let first: Vec<usize> = (0..normal.len()).map(|l| normal.first(l)).collect();
+        normal.fill_together(TOGETHER, |splines, rows| {
+            vectorised(
+                #[inline(always)]
+                || {
+                    for (k, elements) in &self.rows[splines.start / TOGETHER] {
+                        for ((l, row), v) in splines.clone().zip(rows.iter_mut()).zip(elements) {
+                            add_up_to(l, d[*k] * v, &self.columns[*k], &mut row[..], first[l]);
+                        }
+                    }
+                },
+            );
         });
         normal
+    }
+}
+
+/// Adds `factor` times the elements of a column up to spline l to a row, which begins with spline `start`.
+#[inline(always)]
+fn add_up_to(l: usize, factor: f64, column: &[Run], row: &mut [f64], start: usize) {
+    if factor == 0.0 {
+        return;
+    }
+    for run in column {
+        if run.first > l {
+            return;
+        }
+        let count = run.values.len().min(l + 1 - run.first);
+        axpy(factor, &run.values[..count], &mut row[run.first - start..][..count]);
     }
 }
 
