@@ -232,6 +232,14 @@ def scores_of(out, name):
     return scored if isinstance(scored, dict) else None
 
 
+def score(problem_file, motions, log):
+    """Returns the scores of the motions, in their order."""
+    code, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
+    check_code(code, "planish benchmark score", log)
+    rows = json.loads(text)
+    return rows if len(motions) > 1 else [rows]
+
+
 def run(name, out, problem_file=None):
     """Runs and scores a problem. Returns its scores, and a reason if it has none."""
     scored = scores_of(out, name)
@@ -251,10 +259,10 @@ def run(name, out, problem_file=None):
     if not motions:
         return None, f"no method has a motion; see {log}"
     began = time.monotonic()
-    code, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
-    if code not in (0, 1):
-        return None, f"`planish-benchmark score` ended with code {code}; see {log}"
-    rows = json.loads(text)
+    try:
+        rows = score(problem_file, motions, log)
+    except Failed as failure:
+        return None, str(failure)
     for row, method in zip(rows, motions):
         row["method"] = method
         row["motion"] = row.pop("submission")
@@ -550,7 +558,11 @@ def compare_defaults(names, out, jobs, tables):
     """
     rows, ratios = [], {}
     for name in names:
-        scored = plans_with_other_values(name, out, jobs)
+        try:
+            scored = plans_with_other_values(name, out, jobs)
+        except Failed as failure:
+            print(f"{name}: left out: {failure}", file=sys.stderr)
+            continue
         first = scored.get("default")
         if first is None:
             print(f"{name}: left out: see {out / 'defaults' / name / 'log.txt'}", file=sys.stderr)
@@ -625,11 +637,8 @@ def problem_with_fast_machine(problem, folder):
 
 def joint_scores(problem_file, motions, log):
     """Returns the scores of the motions that keep the limits, by their choices."""
-    if not motions:
-        return {}
-    _, text = start("planish-benchmark", "score", "--no-errors", problem_file, *motions.values(), log=log)
-    scored = json.loads(text) if text else []
-    return {choice: row for choice, row in zip(motions, scored) if "time_s" in row}
+    rows = score(problem_file, motions, log) if motions else []
+    return {choice: row for choice, row in zip(motions, rows) if "time_s" in row}
 
 
 def problem_names():

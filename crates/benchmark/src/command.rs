@@ -146,7 +146,9 @@ impl<'a> Row<'a> {
 /// Returns the motion of a submission: a file of rows, or a directory.
 fn motion(submission: &Path, inputs: &mut Inputs) -> Result<Trajectory, Failure> {
     if submission.is_dir() {
-        return Ok(inputs.read("submission", submission)?);
+        let motion: Trajectory = inputs.read("submission", submission)?;
+        motion.check_rate_is_constant().map_err(|e| of_file(submission, &e))?;
+        return Ok(motion);
     }
     let bytes = inputs.read_bytes("submission", submission, LARGEST_SUBMISSION)?;
     let text = String::from_utf8(bytes).map_err(|e| of_file(submission, &e))?;

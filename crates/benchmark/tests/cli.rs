@@ -2,8 +2,9 @@
 
 use std::{f64::consts::TAU, fs, path::Path, process::Output};
 
-use planish_benchmark::Source;
+use planish_benchmark::{Source, trajectory};
 use planish_fixture::{Recipe, make};
+use planish_handoff::save;
 use planish_testkit::{
     program::{stage, text},
     workspace,
@@ -101,6 +102,23 @@ fn of_several_motions_each_has_its_score_or_the_reason_why_it_has_none() {
     // Times 0.6 % apart share a bound: its tangent is below the bound of the second time, by the second order.
     let [tangent, own] = [&rows[1], &alone].map(|row| row["bound_rms_nm"].as_f64().unwrap());
     assert!(tangent <= own * (1.0 + 2e-3) && tangent >= own * (1.0 - 5e-3), "{tangent} {own}");
+}
+
+/// A motion with three times the rate of the tool was scored 19 % below the bound.
+#[test]
+fn a_motion_with_another_rate_than_the_tool_is_refused() {
+    let tmp = tempfile::tempdir().unwrap();
+    let motion = trajectory(&submission(&rows(8.0))).unwrap();
+    let mut rates = vec![1.0; motion.len()];
+    rates[1] = 3.0;
+    let folder = tmp.path().join("motion");
+    save(&folder, &motion.with_rate_factor(rates).unwrap()).unwrap();
+    let problem = workspace().join("benchmark/problems/coupon-fluid-jet.json");
+    let output =
+        stage("planish-benchmark").arg("score").args([&problem, &folder]).output().unwrap();
+    assert_eq!(output.status.code(), Some(2), "{}", text(&output.stdout));
+    let message = text(&output.stderr);
+    assert!(message.contains("rate_factor[1]") && message.contains("is 3"), "{message}");
 }
 
 #[test]

@@ -264,3 +264,26 @@ fn steps_that_differ_by_their_rounding_have_the_same_bound() {
     // The goal of the bound is a gap of 1 %.
     assert!(rounded.gap < 0.01, "{rounded:?}");
 }
+
+/// The edge of these TIFs is beyond their last sample by 1e-15 of a step, which ended in a panic.
+#[test]
+fn an_edge_beyond_the_last_sample_by_rounding_is_at_it() {
+    let g = Grid { x: Axis::new(1.9, 0.3, 13).unwrap(), y: Axis::new(-2.3, 0.3, 9).unwrap() };
+    let height = Array2::from_shape_fn(g.shape(), |(r, c)| ((3 * r + 5 * c) as f64).sin());
+    let desired = Surface::new(g, height).unwrap();
+    for pitch in [0.6, 0.45, 0.15, 0.2, 0.25, 0.4, 0.7] {
+        let tif = gaussian(4.0, 1.0, 4.0 * pitch, pitch);
+        let on_lattice = tif.on_lattice_of(&g, 1e-4).unwrap().tif;
+        let axes = [on_lattice.grid().x, on_lattice.grid().y];
+        for (edge_mm, samples) in on_lattice.edge_mm().into_iter().zip(axes) {
+            let beyond = (edge_mm - samples.end_mm()) / samples.step_mm();
+            // SNAP of Keys' interpolation.
+            assert!(beyond == 0.0 || beyond > 1e-9, "{pitch} mm: {beyond} steps");
+        }
+        let bound = bounds(&desired, &tif, &[0.05]).bounds[0];
+        assert!(
+            bound.bound_rms_nm > 0.0 && bound.bound_rms_nm <= bound.reached_rms_nm,
+            "{bound:?}"
+        );
+    }
+}

@@ -619,8 +619,8 @@ impl Tif {
         }
     }
 
-    /// Returns the upper edge [x, y], mm, beyond which the TIF is zero. It is the offset of the last sample, or up to a
-    /// step more.
+    /// Returns the upper edge [x, y], mm, beyond which the TIF is zero. It is exactly the offset of the last sample, or
+    /// up to a step more.
     pub fn edge_mm(&self) -> [f64; 2] {
         self.edge_mm
     }
@@ -651,6 +651,8 @@ impl Tif {
         self.edge_mm = edge_mm;
         for axis in [0, 1] {
             if self.beyond_steps(axis) <= keys::SNAP {
+                // The rest is rounding: nobody else has to decide whether the edge is the last sample.
+                self.edge_mm[axis] = ends_mm(&self.grid)[axis];
                 continue;
             }
             let lines = NdAxis(1 - axis);

@@ -66,7 +66,8 @@ pub struct Constraints {
     pub desired: Array1<f64>,
 }
 
-/// Splines whose rows of (G + V D V') are summed together, so that a column of V is read once for all of them.
+/// Splines whose rows of (G + V D V') are summed together, so that a column of V is read once for all of them. Larger:
+/// the rows leave the cache. Smaller: every column is read more often.
 const TOGETHER: usize = 8;
 
 /// Values on neighbouring pixels of one axis.

@@ -65,7 +65,8 @@ pub fn product(a: &Array2<f64>, b: &Array2<f64>) -> f64 {
 /// The tool on a lattice of places that divides the pixels: K of the module above, by FFT.
 ///
 /// A tool that ends in a step removes less immediately beside a place than at it, because a row of pixels at its edge
-/// drops out. Such a tool has its limits for places beside those of the lattice, too.
+/// drops out. Such a tool has its limits for places beside those of the lattice, too. No pixel drops out at the upper
+/// edge of a tool that ends between two nodes: its last node is inside, where the tool is continuous.
 pub struct LatticeTool {
     /// The tool at the places of the lattice, then its limits beside them.
     pub limits: Vec<Limit>,
@@ -102,23 +103,27 @@ impl LatticeTool {
         let parts = axes.map(|(axis, map, samples)| {
             ((map.step_mm() / samples.step_mm()).round() * nodes[axis]) as usize
         });
-        let [x, y] = axes.map(|(axis, _, samples)| {
+        let [(x, ends_x), (y, ends_y)] = axes.map(|(axis, _, samples)| {
             let step_mm = samples.step_mm() / nodes[axis];
             let edge_mm = tif.edge_mm()[axis];
-            let last = ((edge_mm - samples.start_mm()) / step_mm + 1e-6).floor() as usize;
+            let steps = (edge_mm - samples.start_mm()) / step_mm;
+            let last = (steps + 1e-6).floor();
             let at_mm = |k| (samples.start_mm() + k as f64 * step_mm).min(edge_mm);
-            (0..=last).map(at_mm).collect::<Vec<f64>>()
+            let at_mm: Vec<f64> = (0..=last as usize).map(at_mm).collect();
+            (at_mm, if steps < last + 1e-6 { 0..3 } else { 0..2 })
         });
         let all = Array2::from_shape_fn((y.len(), x.len()), |(r, c)| tif.rate_at(x[c], y[r]));
-        let ends = if tif.border_to_peak() > SMALL_STEP { 0..9 } else { 0..1 };
-        let limits = ends.map(|k| {
+        let is_step = tif.border_to_peak() > SMALL_STEP;
+        let [ends_x, ends_y] = if is_step { [ends_x, ends_y] } else { [0..1, 0..1] };
+        let ends = ends_y.flat_map(|y| ends_x.clone().map(move |x| (y, x)));
+        let limits = ends.map(|(end_y, end_x)| {
             let mut samples = all.clone();
-            match k % 3 {
+            match end_x {
                 1 => samples.column_mut(0).fill(0.0),
                 2 => samples.column_mut(x.len() - 1).fill(0.0),
                 _ => {}
             }
-            match k / 3 {
+            match end_y {
                 1 => samples.row_mut(0).fill(0.0),
                 2 => samples.row_mut(y.len() - 1).fill(0.0),
                 _ => {}
@@ -213,4 +218,44 @@ fn pixels(place: usize, k: usize, parts: usize, n: usize) -> Range<usize> {
 /// Returns the number of places (rows, columns) from which the tool reaches a map of the shape `shape`.
 fn places(shape: (usize, usize), [px, py]: [usize; 2], samples: &Array2<f64>) -> (usize, usize) {
     ((shape.0 - 1) * py + samples.nrows(), (shape.1 - 1) * px + samples.ncols())
+}
+
+#[cfg(test)]
+mod tests {
+    use planish_types::Axis;
+
+    use super::*;
+
+    /// The last column counted as one that drops out beside a place also where the tool ends between two nodes. Such
+    /// dwell times remove what no tool removes: they left 1.4 % less than the best ones.
+    #[test]
+    fn every_limit_is_the_tool_immediately_beside_the_places() {
+        let axis = Axis::new(0.3, 0.6, 7).unwrap();
+        let samples = Grid { x: axis, y: axis };
+        let rate =
+            Array2::from_shape_fn(samples.shape(), |(r, c)| 3.0 + ((2 * r + c) as f64).sin());
+        let axis = Axis::new(0.0, 1.0, 5).unwrap();
+        let map = Grid { x: axis, y: axis };
+        let measured = Tif::new(samples, rate).unwrap();
+        let tif = measured.on_lattice_of(&map, 1e-4).unwrap().tif;
+        let tool = LatticeTool::new(&tif, &map, 0.5);
+        // No slope of the tool is above 100 nm/s/mm: it changes by less than 1e-5 nm/s in the shift.
+        let shifts = [0.0, 1e-7, -1e-7];
+        for limit in &tool.limits {
+            let differences = shifts.iter().flat_map(|y| shifts.iter().map(move |x| (x, y)));
+            let differences = differences.map(|(x, y)| {
+                let steps = [0, 1]
+                    .map(|axis| [map.x.step_mm(), map.y.step_mm()][axis] / tool.parts[axis] as f64);
+                let start = [tif.grid().x.start_mm(), tif.grid().y.start_mm()];
+                let differences = limit.samples.indexed_iter().map(|((r, c), rate)| {
+                    let dx = start[0] + c as f64 * steps[0] + x;
+                    let dy = start[1] + r as f64 * steps[1] + y;
+                    (rate - tif.rate_at(dx, dy)).abs()
+                });
+                differences.fold(0.0, f64::max)
+            });
+            let least = differences.fold(f64::INFINITY, f64::min);
+            assert!(least < 1e-5, "{least} nm/s from the tool at all places beside");
+        }
+    }
 }
