@@ -60,15 +60,15 @@ pub struct Constraints {
     pub places: Vec<Place>,
     /// Columns of V, nm/s: for every constraint its splines in runs of neighbouring numbers.
     columns: Vec<Vec<Run>>,
-    /// Rows of V: for [`TOGETHER`] neighbouring splines the constraints that any of them has, with their elements.
-    rows: Vec<Vec<(usize, [f64; TOGETHER])>>,
+    /// Rows of V: for [`SPLINES_TOGETHER`] neighbouring splines the constraints that any of them has, with their elements.
+    rows: Vec<Vec<(usize, [f64; SPLINES_TOGETHER])>>,
     /// q_z.
     pub desired: Array1<f64>,
 }
 
 /// Splines whose rows of (G + V D V') are summed together, so that a column of V is read once for all of them. Larger:
 /// the rows leave the cache. Smaller: every column is read more often.
-const TOGETHER: usize = 8;
+const SPLINES_TOGETHER: usize = 8;
 
 /// Values on neighbouring pixels of one axis.
 #[derive(Clone)]
@@ -222,7 +222,7 @@ impl Splines {
             splines: self.sums.len(),
             places: Vec::new(),
             columns: Vec::new(),
-            rows: vec![Vec::new(); self.sums.len().div_ceil(TOGETHER)],
+            rows: vec![Vec::new(); self.sums.len().div_ceil(SPLINES_TOGETHER)],
             desired: Array1::zeros(0),
         }
     }
@@ -340,11 +340,11 @@ impl Constraints {
         let k = self.columns.len();
         for run in &runs {
             for (l, v) in (run.first..).zip(&run.values).filter(|(_, v)| **v != 0.0) {
-                let rows = &mut self.rows[l / TOGETHER];
+                let rows = &mut self.rows[l / SPLINES_TOGETHER];
                 if rows.last().is_none_or(|(last, _)| *last != k) {
-                    rows.push((k, [0.0; TOGETHER]));
+                    rows.push((k, [0.0; SPLINES_TOGETHER]));
                 }
-                rows.last_mut().expect("a constraint").1[l % TOGETHER] = *v;
+                rows.last_mut().expect("a constraint").1[l % SPLINES_TOGETHER] = *v;
             }
         }
         self.columns.push(runs);
@@ -379,7 +379,7 @@ impl Constraints {
     /// Returns `V m` for numbers m at the constraints.
     pub fn along(&self, m: &Array1<f64>) -> Vec<f64> {
         let sums = parallel::map(self.rows.len(), &|rows| {
-            let mut sums = [0.0; TOGETHER];
+            let mut sums = [0.0; SPLINES_TOGETHER];
             for (k, elements) in &self.rows[rows] {
                 axpy(m[*k], elements, &mut sums);
             }
@@ -392,11 +392,11 @@ impl Constraints {
     pub fn normal(&self, gram: &Skyline, d: &Array1<f64>) -> Skyline {
         let mut normal = gram.clone();
         let first: Vec<usize> = (0..normal.len()).map(|l| normal.first(l)).collect();
-        normal.fill_together(TOGETHER, |splines, rows| {
+        normal.fill_together(SPLINES_TOGETHER, |splines, rows| {
             vectorised(
                 #[inline(always)]
                 || {
-                    for (k, elements) in &self.rows[splines.start / TOGETHER] {
+                    for (k, elements) in &self.rows[splines.start / SPLINES_TOGETHER] {
                         for ((l, row), v) in splines.clone().zip(rows.iter_mut()).zip(elements) {
                             add_up_to(l, d[*k] * v, &self.columns[*k], &mut row[..], first[l]);
                         }
