@@ -60,7 +60,7 @@ pub struct Constraints {
     pub places: Vec<Place>,
     /// Columns of V, nm/s: for every constraint its splines in runs of neighbouring numbers.
     columns: Vec<Vec<Run>>,
-    /// Rows of V: for [`SPLINES_TOGETHER`] neighbouring splines the constraints that any of them has, with their elements.
+    /// Rows of V: for [`SPLINES_TOGETHER`] neighbouring splines the constraints that any of them has, with the elements.
     rows: Vec<Vec<(usize, [f64; SPLINES_TOGETHER])>>,
     /// q_z.
     pub desired: Array1<f64>,
